@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Entry point of `skyhaul`: parse the command line, call one command, turn errors into one line.
+
+Exit codes: 0 done, 3 the mission failed or was interrupted, 1 bad input or a fault of ours,
+2 wrong usage.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from skyhaul.errors import SkyhaulError
+
+EXIT_OK, EXIT_ERROR, EXIT_USAGE, EXIT_FAILED = 0, 1, 2, 3
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    args = parser().parse_args(argv)
+    try:
+        code = command(args.command)(args)
+        sys.stdout.flush()
+        return code
+    except SkyhaulError as error:
+        return _fail(str(error))
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_ERROR
+    except KeyboardInterrupt:
+        print("skyhaul: interrupted", file=sys.stderr)
+        return EXIT_FAILED
+    except Exception as error:
+        if args.debug:
+            raise
+        return _fail(f"a fault of ours: {_one_line(error)}; run with --debug for the traceback")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line; nothing heavy is imported for it."""
+    shared = argparse.ArgumentParser(add_help=False)
+    shared.add_argument("--debug", action="store_true", help="show the traceback of a fault")
+    top = argparse.ArgumentParser(
+        prog="skyhaul",
+        description="Teams of quadrotors carry a load on cables through a moving world.",
+    )
+    top.add_argument("--version", action="version", version=f"skyhaul {_version()}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_run(commands.add_parser("run", parents=[shared], help="fly a scenario"))
+
+    report = commands.add_parser("report", parents=[shared], help="make the report of a run")
+    report.add_argument("run", metavar="RUN", type=Path, help="run folder")
+    report.add_argument("--video", action="store_true", help="also make an MP4 (extra `video`)")
+
+    commands.add_parser("scenarios", parents=[shared], help="list the scenarios that ship")
+
+    config = commands.add_parser("config", parents=[shared], help="print the whole configuration")
+    _add_scenario(config)
+
+    doctor = commands.add_parser(
+        "doctor", parents=[shared], help="what this machine has and what a team can bear"
+    )
+    doctor.add_argument("scenario", metavar="SCENARIO", nargs="?", help="name or YAML file")
+    return top
+
+
+def command(name: str) -> Callable[[argparse.Namespace], int]:
+    """The function behind a command, imported only now."""
+    match name:
+        case "run":
+            from skyhaul.cli.run import run
+
+            return run
+        case "report":
+            from skyhaul.cli.report import report
+
+            return report
+        case "scenarios":
+            from skyhaul.cli.scenarios import scenarios
+
+            return scenarios
+        case "config":
+            from skyhaul.cli.config import config
+
+            return config
+        case _:
+            from skyhaul.cli.doctor import doctor
+
+            return doctor
+
+
+def _add_run(run: argparse.ArgumentParser) -> None:
+    _add_scenario(run)
+    run.add_argument(
+        "--perception",
+        choices=("truth", "full"),
+        default="truth",
+        help="where estimates come from (default: truth)",
+    )
+    run.add_argument(
+        "--trigger",
+        choices=("event", "periodic", "periodic-feedback"),
+        help="when the payload controller re-solves (default: as the scenario says)",
+    )
+    run.add_argument(
+        "--latency",
+        choices=("none", "measured"),
+        default="none",
+        help="measured: each result is late by the time it took (default: none)",
+    )
+    run.add_argument("--seed", type=_seed, default=0, help="phases, wind, noise (default: 0)")
+    run.add_argument("--out", type=Path, metavar="DIR", help="run folder (default: runs/...)")
+
+
+def _add_scenario(to: argparse.ArgumentParser) -> None:
+    to.add_argument("scenario", metavar="SCENARIO", help="name or YAML file")
+    to.add_argument(
+        "--set",
+        dest="overrides",
+        action="append",
+        nargs="+",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change an entry, as in --set limits.v_max_mps=1.0; may be repeated",
+    )
+
+
+def _seed(text: str) -> int:
+    seed = int(text)
+    if seed < 0:
+        raise argparse.ArgumentTypeError(f"a seed is 0 or more, got {seed}")
+    return seed
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("skyhaul")
+
+
+def _one_line(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def _fail(sentence: str) -> int:
+    print(f"skyhaul: {sentence}", file=sys.stderr)
+    return EXIT_ERROR

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the flags of a command change in the configuration."""
+
+import argparse
+
+from skyhaul.errors import ConfigError
+
+
+def overrides_of(args: argparse.Namespace) -> list[str]:
+    """The entries of --set, in order."""
+    return [entry for group in args.overrides for entry in group]
+
+
+def run_overrides(args: argparse.Namespace) -> list[str]:
+    """Entries of `skyhaul run`: its own flags, then --set, which wins.
+
+    Raises:
+        ConfigError: For `--perception full`, which needs estimators that work on sensor data.
+    """
+    if args.perception == "full":
+        raise ConfigError(
+            "--perception full: this version has no estimators that work on sensor data; "
+            "fly with --perception truth"
+        )
+    flags = []
+    if args.trigger is not None:
+        flags.append(f"mission.trigger.kind={args.trigger}")
+    if args.latency != "none":
+        flags.append(f"mission.latency={args.latency}")
+    return flags + overrides_of(args)

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The run folder: its files, and the configuration with its origin."""
+
+import json
+import os
+import platform
+import subprocess
+from dataclasses import dataclass, fields
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from skyhaul.errors import FileError
+from skyhaul.world.load import dump_config
+from skyhaul.world.scenario import Scenario
+from skyhaul.world.schema import build
+
+CONFIG, LOG, STATES = "config.yaml", "log.mcap", "states.parquet"
+METRICS, REPORT = "metrics.json", "report.html"
+FIGURE, VIDEO = "flight.png", "flight.mp4"
+"""Names of the files in a run folder."""
+
+_PACKAGES = ("skyhaul", "numpy", "scipy", "numba", "casadi", "mujoco", "pyarrow", "mcap")
+_HEAD = (
+    "# A flight of skyhaul. This file can be flown again: skyhaul run config.yaml --seed {seed}\n"
+)
+_ORIGIN = "# origin: "
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What made a run, besides its configuration."""
+
+    seed: int
+    commit: str
+    """`git describe` of the source tree, or `unknown`."""
+    versions: dict[str, str]
+    """Python and packages."""
+    machine: str
+
+
+def origin(seed: int) -> Origin:
+    """The origin of a run that is started now."""
+    versions = {"python": platform.python_version()} | {p: _version(p) for p in _PACKAGES}
+    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+    return Origin(seed, _commit(), versions, machine)
+
+
+def create(folder: Path, config: Scenario, made: Origin) -> None:
+    """Make a run folder with its `config.yaml`.
+
+    Raises:
+        FileError: when the folder cannot be made or is not empty.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise FileError(f"{folder} cannot be made: {fault.strerror}") from fault
+    if any(folder.iterdir()):
+        raise FileError(f"{folder} is not empty; name another folder or remove it first")
+    text = _HEAD.format(seed=made.seed) + _ORIGIN + json.dumps(vars(made)) + "\n"
+    (folder / CONFIG).write_text(text + dump_config(config), encoding="utf-8")
+
+
+def read_config(folder: Path) -> tuple[Scenario, Origin]:
+    """Scenario part of the configuration, and the origin of a run.
+
+    Raises:
+        FileError: when the folder holds no run.
+    """
+    path = folder / CONFIG
+    if not path.is_file():
+        raise FileError(f"{folder} is no run folder: it has no {CONFIG}")
+    text = path.read_text(encoding="utf-8")
+    known = {f.name for f in fields(Scenario)}
+    tree: dict[str, Any] = {k: v for k, v in yaml.safe_load(text).items() if k in known}
+    return build(Scenario, tree), _read_origin(path, text)
+
+
+def write_json(path: Path, data: object) -> None:
+    """Write JSON so that a reader finds the old file or the new one, never half of one."""
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def read_metrics(folder: Path) -> dict[str, Any]:
+    """The metrics of a run.
+
+    Raises:
+        FileError: when they have not been written.
+    """
+    path = folder / METRICS
+    if not path.is_file():
+        raise FileError(f"{path} does not exist; `skyhaul report {folder}` makes it")
+    metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return metrics
+
+
+def _read_origin(path: Path, text: str) -> Origin:
+    for line in text.splitlines():
+        if line.startswith(_ORIGIN):
+            return Origin(**json.loads(line[len(_ORIGIN) :]))
+    raise FileError(f"{path} has no line {_ORIGIN.strip()!r}: it was not written by a run")
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _commit() -> str:
+    """State of the source tree; an installed wheel has none."""
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return "unknown"
+    return result.stdout.strip() or "unknown"

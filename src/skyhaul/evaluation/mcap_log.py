@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`log.mcap`: all topics, with ROS 2 schemas; written in chunks, readable after a crash."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Channel, Message, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+from skyhaul.errors import FileError
+from skyhaul.evaluation.ros2.cdr import Codec, codec
+from skyhaul.evaluation.ros2.schema import schema_text
+from skyhaul.types import TimeUs
+
+FLUSH_PERIOD_US: TimeUs = 1_000_000
+"""A killed run loses at most this much of the log [us]."""
+
+
+class McapLog:
+    """Writes messages; each topic is registered at its first message."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("wb")
+        self._writer = Writer(self._file, chunk_size=4 << 20, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library="skyhaul")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, tuple[int, Codec]] = {}
+        self._flushed_us: TimeUs = 0
+
+    def write(self, topic: str, type_name: str, t_us: TimeUs, *leaves: Any) -> None:  # noqa: ANN401
+        """Log a message given as its leaves (see `ros2.cdr`), `type_name` as `package/Type`."""
+        if t_us >= self._flushed_us + FLUSH_PERIOD_US:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._flushed_us = t_us
+        channel, encoder = self._channels.get(topic) or self._register(topic, type_name)
+        self._writer.add_message(channel, t_us * 1000, encoder.encode(*leaves), t_us * 1000)
+
+    def close(self) -> None:
+        """Write the index and close the file."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.close()
+
+    def _register(self, topic: str, type_name: str) -> tuple[int, Codec]:
+        if type_name not in self._schemas:
+            self._schemas[type_name] = self._writer.register_schema(
+                type_name.replace("/", "/msg/"), "ros2msg", schema_text(type_name).encode()
+            )
+        channel = self._writer.register_channel(topic, "cdr", self._schemas[type_name])
+        self._channels[topic] = channel, codec(type_name)
+        return self._channels[topic]
+
+
+@dataclass(frozen=True, eq=False)
+class LogRecord:
+    """One message out of a log."""
+
+    topic: str
+    t_us: TimeUs
+    message: dict[str, Any]
+
+
+def read_log(path: Path, topics: set[str]) -> Iterator[LogRecord]:
+    """Messages of some topics, in the order of writing; what a killed run wrote is found too.
+
+    Raises:
+        FileError: when the file is missing or no MCAP file.
+    """
+    if not path.is_file():
+        raise FileError(f"{path} does not exist; is this a run folder?")
+    with path.open("rb") as stream:
+        for schema, channel, message in _messages(path, stream, topics):
+            decoder = codec(schema.name.replace("/msg/", "/"))
+            yield LogRecord(channel.topic, message.log_time // 1000, decoder.decode(message.data))
+
+
+def _messages(
+    path: Path,
+    stream: IO[bytes],
+    topics: set[str],
+) -> Iterator[tuple[Schema, Channel, Message]]:
+    """Through the index where there is one, else from the front until the file breaks off."""
+    try:
+        indexed = make_reader(stream)
+        if indexed.get_summary() is not None:
+            for schema, channel, message in indexed.iter_messages(topics=topics):
+                assert schema is not None, "every channel of ours has a schema"
+                yield schema, channel, message
+            return
+    except McapError:
+        pass
+    stream.seek(0)
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    for record in _until_broken(path, stream):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message) and channels[record.channel_id].topic in topics:
+            channel = channels[record.channel_id]
+            yield schemas[channel.schema_id], channel, record
+
+
+def _until_broken(path: Path, stream: IO[bytes]) -> Iterator[object]:
+    """Records of a stream up to its end or to where it breaks off."""
+    records = iter(StreamReader(stream).records)
+    first = True
+    while True:
+        try:
+            record = next(records)
+        except (McapError, StopIteration) as fault:
+            if first:
+                raise FileError(f"{path} is not an MCAP file") from fault
+            return
+        first = False
+        yield record

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A Parquet file that grows by row groups and is complete after each of them."""
+
+import io
+import os
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from skyhaul.types import Array
+
+_MAGIC = b"PAR1"
+_PADDING = memoryview(bytes(1 << 20))
+
+
+class _Tail(io.RawIOBase):
+    """Keeps what is written after the first `skip` bytes."""
+
+    def __init__(self) -> None:
+        self.skip = 0
+        self.data = bytearray()
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: object) -> int:
+        view = memoryview(data)  # type: ignore[arg-type]
+        size = len(view)
+        dropped = min(self.skip, size)
+        self.skip -= dropped
+        self.data += view[dropped:]
+        return size
+
+
+class GrowingParquet:
+    """Appends row groups; after each the file on disk is whole and readable.
+
+    A Parquet file ends with a footer that says where every column chunk lies. Each append writes
+    the new row group over the old footer, and the new footer behind it, in one system call: a
+    process that is killed leaves either the file before it or the file after it.
+    """
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        self._schema = schema
+        self._file = path.open("wb", buffering=0)
+        self._end = self._file.write(_MAGIC)
+        self._metadata: pq.FileMetaData | None = None
+        self._append(self._schema.empty_table())
+
+    def append(self, rows: Array) -> None:
+        """Write rows, (k, columns), as one row group; columns are cast to the schema's types."""
+        columns = [
+            pa.array(rows[:, j]).cast(field.type, safe=False)
+            for j, field in enumerate(self._schema)
+        ]
+        self._append(pa.table(columns, schema=self._schema))
+
+    def close(self) -> None:
+        """Close the file; it has been whole before."""
+        self._file.close()
+
+    def _append(self, table: pa.Table) -> None:
+        body, metadata = _row_group(table, self._end)
+        if self._metadata is None:
+            self._metadata = metadata
+        else:
+            self._metadata.append_row_groups(metadata)
+        footer = io.BytesIO()
+        self._metadata.write_metadata_file(footer)
+        tail = body + footer.getvalue()[len(_MAGIC) :]
+        written = os.pwrite(self._file.fileno(), tail, self._end)
+        if written != len(tail):
+            raise OSError(f"the disk took {written} of {len(tail)} bytes of {self._file.name}")
+        self._end += len(body)
+
+
+def _row_group(table: pa.Table, offset: int) -> tuple[bytes, pq.FileMetaData]:
+    """One row group as it stands in a file at an offset, and the metadata that finds it there."""
+    tail = _Tail()
+    sink = pa.PythonFile(tail, mode="w")
+    writer = pq.ParquetWriter(
+        sink,
+        table.schema,
+        compression="zstd",
+        use_dictionary=False,
+        write_statistics=False,
+        use_byte_stream_split=[f.name for f in table.schema if pa.types.is_float64(f.type)],
+    )
+    tail.data.clear()  # the writer's own magic; pyarrow wants to begin at 0, so move on now
+    left = tail.skip = offset - len(_MAGIC)
+    while left > 0:
+        sink.write(_PADDING[: min(left, len(_PADDING))])
+        left -= len(_PADDING)
+    if table.num_rows:
+        writer.write_table(table)
+    writer.close()
+    footer_size = int.from_bytes(tail.data[-8:-4], "little") + 8
+    return bytes(tail.data[:-footer_size]), writer.writer.metadata

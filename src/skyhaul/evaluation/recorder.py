@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Takes a flight down into its run folder."""
+
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import pyarrow as pa
+
+from skyhaul.comms.api import Envelope
+from skyhaul.evaluation import extremes, folder
+from skyhaul.evaluation.columns import ROW_PERIOD_US, Layout
+from skyhaul.evaluation.energy import EnergyModel, rotor_power_factor
+from skyhaul.evaluation.events_log import EventsLog
+from skyhaul.evaluation.mcap_log import McapLog
+from skyhaul.evaluation.parquet_log import GrowingParquet
+from skyhaul.evaluation.team_log import TeamLog
+from skyhaul.mapping.api import WorldMap
+from skyhaul.mission.api import AIRBORNE, Outcome, Phase, Replan, Solve, Tick, Trigger
+from skyhaul.planning.api import Reference
+from skyhaul.plant.api import PLANT_STEP_US
+from skyhaul.types import US_PER_S, Array, Mask, TimeUs
+from skyhaul.world.scenario import Scenario
+
+GROUP_ROWS = 250
+"""Rows per row group: a killed run loses at most 2.5 s of its series."""
+
+PHASES = tuple(Phase)
+"""`phase_code_nd` counts in this order."""
+
+
+class RunRecorder:
+    """Implements `mission.api.Recorder`: `config.yaml`, `log.mcap` and `states.parquet`.
+
+    Rows of the series are written at 100 Hz; extremes and integrals are followed at every step,
+    so that no row period hides one. No wall time enters the series: same flight, same bytes.
+    """
+
+    def __init__(
+        self, path: Path, config: Scenario, seed: int, energy: EnergyModel | None = None
+    ) -> None:
+        folder.create(path, config, folder.origin(seed))
+        self.folder = path
+        n = config.team.count
+        obstacles = config.world.obstacles
+        moving = [j for j, o in enumerate(obstacles) if o.motion.kind != "static" or o.appears]
+        self._layout = Layout(n, tuple(moving))
+        self._columns = {k: b.columns for k, b in self._layout.blocks.items()}
+        self._movers = np.array(moving, dtype=np.int64)
+        self._rows = np.full((GROUP_ROWS, len(self._layout.names)), np.nan)
+        self._filled = 0
+        self._states = GrowingParquet(path / folder.STATES, _schema(self._layout))
+        self._log = McapLog(path / folder.LOG)
+        self._team_log = TeamLog(self._log, config, self._movers)
+        self._events = EventsLog(self._log)
+        radius = config.team.vehicle.rotor_radius_m
+        factor = rotor_power_factor(energy or EnergyModel(), radius)
+        self._power_step = factor * PLANT_STEP_US / US_PER_S
+        self._extremes = extremes.start(n)
+        self._phase: Phase | None = None
+        self._airborne = False
+        self._now_us: TimeUs = 0
+
+    def tick(self, tick: Tick) -> None:
+        """Every plant step."""
+        truth = tick.truth
+        t_us = self._now_us = truth.stamp_us
+        if tick.phase is not self._phase:
+            self._enter(tick.phase, t_us)
+        extremes.follow(
+            self._extremes,
+            truth.clearance_m,
+            truth.team.p_WB,
+            truth.rotor_thrust,
+            truth.cables.tension,
+            truth.attached,
+            truth.alive,
+            self._power_step,
+            PLANT_STEP_US / US_PER_S if self._airborne else 0.0,
+        )
+        for contact in truth.contacts:
+            self._events.contact(contact, self._airborne, truth)
+        if t_us % ROW_PERIOD_US == 0:
+            self._add_row(tick)
+        self._team_log.tick(tick)
+
+    def trigger(self, trigger: Trigger) -> None:
+        """Something fired."""
+        self._events.trigger(trigger)
+
+    def replan(self, replan: Replan) -> None:
+        """A reference was planned, accepted or not."""
+        self._events.replan(replan)
+
+    def reference(self, stamp_us: TimeUs, reference: Reference) -> None:
+        """A reference came into force."""
+        self._events.reference(stamp_us, reference)
+
+    def solve(self, solve: Solve) -> None:
+        """A control plan was solved."""
+        self._events.solve(solve)
+
+    def map(self, world_map: WorldMap) -> None:
+        """M(t) changed."""
+        self._events.map(world_map)
+
+    def message(self, envelope: Envelope[object]) -> None:
+        """A message went over the bus."""
+        self._events.message(envelope)
+
+    def close(self, outcome: Outcome) -> None:
+        """The flight is over, or was interrupted; called exactly once."""
+        self._events.outcome(outcome)
+        self._flush()
+        self._states.close()
+        self._log.close()
+
+    def __enter__(self) -> "RunRecorder":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close a flight that ended without an outcome."""
+        if not self._events.closed:
+            reason = f"broken off by {kind.__name__}" if kind else "broken off"
+            self.close(Outcome(False, reason, self._now_us, {}, 0.0))
+
+    def _enter(self, phase: Phase, t_us: TimeUs) -> None:
+        """A new phase: what is counted after lift-off starts anew at lift-off."""
+        lifted = self._airborne or phase in (Phase.CARRY, Phase.HOVER)
+        airborne = lifted and phase in AIRBORNE
+        if airborne != self._airborne:
+            extremes.restart(self._extremes, keep_clearance=True)
+        self._phase, self._airborne = phase, airborne
+        self._events.phase(t_us, phase, airborne)
+
+    def _add_row(self, tick: Tick) -> None:
+        row, truth, e = self._rows[self._filled], tick.truth, self._extremes
+        team, cables, command = truth.team, truth.cables, tick.command
+        movers = self._movers
+        values: tuple[tuple[str, Array | Mask | float], ...] = (
+            ("t", truth.stamp_us),
+            ("phase", PHASES.index(tick.phase)),
+            ("airborne", self._airborne),
+            ("clearance_min", e.team[extremes.CLEARANCE]),
+            ("vehicle_distance_min", e.team[extremes.DISTANCE]),
+            ("rotor_energy", e.team[extremes.ENERGY]),
+            ("slack", e.team[extremes.SLACK]),
+            ("load", team.load),
+            ("ref", tick.reference),
+            ("est", tick.estimate.team.load),
+            ("wind", truth.wind_W),
+            ("vehicle_p", team.p_WB),
+            ("vehicle_q", team.q_WB),
+            ("vehicle_v", team.v_WB),
+            ("vehicle_w", team.w_WB_B),
+            ("vehicle_rotor", truth.rotor_thrust),
+            ("vehicle_rotor_cmd", tick.rotor_cmd),
+            ("vehicle_moment_cmd", command.moment_B),
+            ("vehicle_thrust_max", e.thrust_max),
+            ("vehicle_thrust_cmd", command.thrust),
+            ("vehicle_thrust_plan", tick.planned_thrust),
+            ("vehicle_alive", truth.alive),
+            ("cable_dir", cables.dir_W),
+            ("cable_w", cables.w_W),
+            ("cable_dir_flat", tick.flat_cable_dir_W),
+            ("cable_force_cmd", command.force_W),
+            ("cable_force_plan", tick.planned_force_W),
+            ("cable_tension", cables.tension),
+            ("cable_tension_min", e.tension_min),
+            ("cable_tension_max", e.tension_max),
+            ("cable_length", cables.length),
+            ("cable_attached", truth.attached),
+            ("obstacle_p", truth.obstacles.p_WO[movers]),
+            ("obstacle_present", truth.present[movers]),
+        )
+        columns = self._columns
+        for key, value in values:
+            row[columns[key]] = value.ravel() if isinstance(value, np.ndarray) else value
+        extremes.restart(e, keep_clearance=False)
+        self._filled += 1
+        if self._filled == GROUP_ROWS:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Write the rows so far; extremes without a case are infinite and become nan."""
+        if self._filled:
+            rows = self._rows[: self._filled]
+            rows[np.isinf(rows)] = np.nan
+            self._states.append(rows)
+            self._filled = 0
+
+
+def _schema(layout: Layout) -> pa.Schema:
+    """Columns with their types, and what is needed to read them back."""
+    integers = {"t_us": pa.int64()}
+    kinds = [integers.get(c, pa.int8() if _is_code(c) else pa.float64()) for c in layout.names]
+    about = {"layout": layout.to_json(), "phases": ",".join(p.value for p in PHASES)}
+    return pa.schema(list(zip(layout.names, kinds, strict=True)), metadata=about)
+
+
+def _is_code(name: str) -> bool:
+    return name.endswith(("code_nd", "airborne_nd", "alive_nd", "attached_nd", "present_nd"))

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics that are logged at a fixed rate: poses, cables, reference, markers."""
+
+import numpy as np
+
+from skyhaul.evaluation import messages
+from skyhaul.evaluation.mcap_log import McapLog
+from skyhaul.geometry.quaternion import quat_rotate
+from skyhaul.mission.api import Tick
+from skyhaul.plant.api import Truth
+from skyhaul.types import ERR_P, ERR_R, ERR_V, ERR_W, Array, IntArray, TimeUs
+from skyhaul.world.scenario import Scenario
+
+POSE_PERIOD_US: TimeUs = 20_000
+"""Odometry, transforms, cables, reference [us]."""
+MARKER_PERIOD_US: TimeUs = 50_000
+"""Markers of the team and of moving obstacles [us]."""
+
+_EXACT = np.zeros(36)
+
+
+class TeamLog:
+    """Writes the regular topics."""
+
+    def __init__(self, log: McapLog, scenario: Scenario, movers: IntArray) -> None:
+        self._log = log
+        self._team = scenario.team
+        self._p_LA = scenario.team.hooks_L()
+        self._obstacles = scenario.world.obstacles
+        self._movers = movers
+        n = scenario.team.count
+        self._names = ["payload", *(f"vehicle_{i}" for i in range(n))]
+        self._topics = [f"/{name}/odometry" for name in self._names]
+        self._bodies = np.empty((1 + n, 13))
+        room = scenario.world.room
+        edges = messages.room_marker(room.min_m, room.max_m)
+        log.write("/world/room", "visualization_msgs/MarkerArray", 0, (edges,))
+        still = [
+            marker
+            for j, o in enumerate(self._obstacles)
+            if j not in movers
+            for marker in messages.obstacle_markers(0, "static", j, o.shape, np.array(o.center_m))
+        ]
+        log.write("/world/static", "visualization_msgs/MarkerArray", 0, still)
+
+    def tick(self, tick: Tick) -> None:
+        """Log what is due at this step."""
+        t_us = tick.truth.stamp_us
+        if t_us % POSE_PERIOD_US == 0:
+            self._poses(t_us, tick)
+        if t_us % MARKER_PERIOD_US == 0:
+            self._markers(t_us, tick.truth)
+
+    def _poses(self, t_us: TimeUs, tick: Tick) -> None:
+        truth, bodies, log = tick.truth, self._bodies, self._log
+        team, cables = truth.team, truth.cables
+        bodies[0] = team.load
+        bodies[1:, 0:3], bodies[1:, 3:7] = team.p_WB, team.q_WB
+        bodies[1:, 7:10], bodies[1:, 10:13] = team.v_WB, team.w_WB_B
+        frames = []
+        for name, topic, body in zip(self._names, self._topics, bodies, strict=True):
+            leaves = messages.odometry(t_us, name, body, _EXACT, _EXACT)
+            log.write(topic, "nav_msgs/Odometry", t_us, *leaves)
+            frames.append(leaves[:11])
+        log.write("/tf", "tf2_msgs/TFMessage", t_us, frames)
+        estimate = tick.estimate
+        cov = estimate.load_covariance
+        leaves = messages.odometry(
+            t_us,
+            "payload_estimate",
+            estimate.team.load,
+            _ros_covariance(cov, ERR_P, ERR_R),
+            _ros_covariance(cov, ERR_V, ERR_W),
+        )
+        log.write("/payload/estimate", "nav_msgs/Odometry", t_us, *leaves)
+        if np.isfinite(tick.reference[0]):
+            desired = messages.pose(tick.reference[0:3], tick.reference[3:7])
+            at = messages.header(t_us)
+            log.write("/payload/reference", "geometry_msgs/PoseStamped", t_us, *at, *desired)
+        log.write(
+            "/cables",
+            "skyhaul_msgs/CableStates",
+            t_us,
+            *messages.header(t_us),
+            cables.dir_W.tolist(),
+            cables.length,
+            cables.tension,
+            truth.attached,
+        )
+
+    def _markers(self, t_us: TimeUs, truth: Truth) -> None:
+        team = truth.team
+        p_WA = team.p_WL + quat_rotate(team.q_WL, self._p_LA)
+        markers = messages.team_markers(
+            t_us, self._team, team.load, team.p_WB, team.q_WB, p_WA, truth.attached
+        )
+        self._log.write("/team/markers", "visualization_msgs/MarkerArray", t_us, *markers)
+        moving = []
+        for j in self._movers:
+            if truth.present[j]:
+                p = truth.obstacles.p_WO[j]
+                shape = self._obstacles[j].shape
+                moving += messages.obstacle_markers(t_us, "mover", int(j), shape, p)
+        if moving:
+            self._log.write("/world/movers", "visualization_msgs/MarkerArray", t_us, moving)
+
+
+def _ros_covariance(cov: Array, first: slice, second: slice) -> Array:
+    """Two blocks of the load's covariance in the order of ROS, (36,)."""
+    order = np.r_[first, second]
+    return np.ravel(cov[np.ix_(order, order)])

@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`numba.njit` with our options, typed for mypy."""
+
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., object])
+
+
+def njit(function: F) -> F:
+    """Compile a function with numba: cached on disk, releasing the GIL, strict floating point."""
+    return cast(F, numba.njit(cache=True, nogil=True)(function))

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole configuration of a flight: the scenario and the stack that flies it."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from skyhaul.comms.in_process import InProcess
+from skyhaul.control.config import ControlConfig
+from skyhaul.mapping.mapper import Mapping
+from skyhaul.mission.station import StationParams
+from skyhaul.mission.triggers import EventTrigger, ReplanTriggers, SolveTrigger
+from skyhaul.params import Params
+from skyhaul.perception.obstacles.truth import TruthObstacles
+from skyhaul.perception.team.truth import TruthTeam
+from skyhaul.planning.config import PlanningConfig
+from skyhaul.sensors.perfect import PerfectObjects, PerfectState
+from skyhaul.world.scenario import Scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorsConfig(Params):
+    """Sensors."""
+
+    team: PerfectState = field(default_factory=PerfectState)
+    """What tells where the team is."""
+    objects: PerfectObjects = field(default_factory=PerfectObjects)
+    """What sees obstacles."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerceptionConfig(Params):
+    """Estimators."""
+
+    team: TruthTeam = field(default_factory=TruthTeam)
+    """Where the team is."""
+    obstacles: TruthObstacles = field(default_factory=TruthObstacles)
+    """Where the obstacles are."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MissionConfig(Params):
+    """Phases and triggers."""
+
+    station: StationParams = field(default_factory=StationParams)
+    """Lift-off."""
+    replan: ReplanTriggers = field(default_factory=ReplanTriggers)
+    """When to plan anew."""
+    trigger: SolveTrigger = field(default_factory=EventTrigger)
+    """When to solve anew."""
+    latency: Literal["none", "measured"] = "none"
+    """Whether replans and solves take effect at once, or after the wall time they took."""
+    recovery_s: float = 2.0
+    """After a vehicle is lost the load is flown by the geometric law for this long [s]."""
+    lift_m: float = 0.3
+    """Height to which the load is lifted before the flight begins [m]."""
+    clear_of_floor_m: float = 0.15
+    """The lift ends and the flight begins when the load is this high above its place [m]."""
+    airborne_s: float = 3.0
+    """From the stations on, it takes this long to be able to dodge: tauten, spool, lift [s]."""
+    spool_s: float = 0.6
+    """Time in which the cable forces grow to the weight of the load [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig(Scenario):
+    """Everything that decides a flight, but for the seed."""
+
+    sensors: SensorsConfig = field(default_factory=SensorsConfig)
+    """Sensors."""
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+    """Estimators."""
+    mapping: Mapping = field(default_factory=Mapping)
+    """The map M(t)."""
+    planning: PlanningConfig = field(default_factory=PlanningConfig)
+    """Paths and references."""
+    control: ControlConfig = field(default_factory=ControlConfig)
+    """Payload controller and what follows its plan."""
+    comms: InProcess = field(default_factory=InProcess)
+    """The bus between the agents."""
+    mission: MissionConfig = field(default_factory=MissionConfig)
+    """Phases and triggers."""

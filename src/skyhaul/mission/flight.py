@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One flight from start to end: plant, sensors, perception, crew, recorder."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyhaul.mission.api import Outcome, Phase, Recorder
+from skyhaul.mission.config import RunConfig
+from skyhaul.mission.crew import Crew
+from skyhaul.mission.judge import FLYING_ON, Judge, Verdict
+from skyhaul.mission.loop import cycle
+from skyhaul.mission.setup import build_stack
+from skyhaul.mission.stopwatch import Stopwatch
+from skyhaul.mission.ticks import TickMaker
+from skyhaul.mission.vehicle import Actuation
+from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
+from skyhaul.plant.mujoco_plant import MujocoPlant
+from skyhaul.types import US_PER_S, TimeUs
+from skyhaul.world.scenario import GoTo
+
+OBSTACLE_PERIOD_US = 20_000
+"""Time between two looks for obstacles, and two updates of M(t) [us]."""
+_PROGRESS_PERIOD_US = 100_000
+_JUDGE_PERIOD_US = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class FlightProgress:
+    """How far a flight is."""
+
+    t_us: TimeUs
+    limit_us: TimeUs
+    phase: Phase
+    speed_mps: float  # of the load
+    goal_distance_m: float  # nan without a goal
+
+
+ShowProgress = Callable[[FlightProgress], None]
+
+
+def fly(
+    config: RunConfig, seed: int, recorder: Recorder, progress: ShowProgress | None = None
+) -> Outcome:
+    """Fly a scenario to its end.
+
+    Args:
+        config: Scenario and stack.
+        seed: Sets obstacle phases, wind and noise.
+        recorder: Is told everything, and closed when the flight is over, interrupted or not.
+        progress: Called ten times per simulated second.
+
+    Returns:
+        How it ended. An interrupt ends the flight without success; it is not passed on.
+    """
+    flight = Flight(config, seed, recorder)
+    verdict = Verdict(over=True, success=False, reason="broken off by a fault of the program")
+    try:
+        verdict = flight.run(progress)
+    except KeyboardInterrupt:
+        verdict = Verdict(over=True, success=False, reason="interrupted")
+    finally:
+        outcome = flight.outcome(verdict)
+        recorder.close(outcome)
+    return outcome
+
+
+class Flight:
+    """Everything that lives during one flight."""
+
+    def __init__(self, config: RunConfig, seed: int, recorder: Recorder) -> None:
+        self._config, self._recorder = config, recorder
+        self._began_s = time.perf_counter()
+        self._watch = Stopwatch()
+        self._plant = MujocoPlant(config, seed)
+        self._truth = self._plant.truth()
+        bus = config.comms.build(config.team.count, seed, recorder.message)
+        self._crew = Crew(build_stack(config), bus, recorder, self._watch)
+        self._ticks = TickMaker(config.team)
+        self._judge, self._judged = Judge(config), Judge(config).init()
+        self._shapes = tuple(o.shape for o in config.world.obstacles)
+        self._seen = config.sensors.objects.init(len(self._shapes))
+        self._team_memory = config.perception.team.init()
+        self._obstacle_memory = config.perception.obstacles.init()
+
+    def run(self, progress: ShowProgress | None) -> Verdict:
+        """Cycle until the judge ends the flight."""
+        verdict = FLYING_ON
+        while not verdict.over:
+            t_us = self._truth.stamp_us
+            with self._watch.stage("perception"):
+                estimate, obstacles = self._perceive(t_us)
+            with self._watch.stage("agents"):
+                actuations = cycle(self._crew, t_us, estimate, obstacles)
+            with self._watch.stage("logging"):
+                self._record(estimate, actuations)
+            with self._watch.stage("plant"):
+                self._actuate(actuations)
+            if progress is not None and t_us % _PROGRESS_PERIOD_US == 0:
+                progress(self._progress(t_us, estimate))
+            if t_us % _JUDGE_PERIOD_US == 0:
+                self._judged, verdict = self._judge.step(
+                    self._judged, t_us, self._crew.leader.phase, estimate
+                )
+        return verdict
+
+    def outcome(self, verdict: Verdict) -> Outcome:
+        """How it ended, with the time it took."""
+        return Outcome(
+            success=verdict.success,
+            reason=verdict.reason,
+            end_us=self._truth.stamp_us,
+            cpu_s=self._watch.cpu_s(),
+            wall_s=time.perf_counter() - self._began_s,
+        )
+
+    def _perceive(self, t_us: TimeUs) -> tuple[TeamEstimate, ObstacleEstimate | None]:
+        """p(t) and, when it is due, o(t)."""
+        sensors, perception = self._config.sensors, self._config.perception
+        self._team_memory, estimate = perception.team.step(
+            self._team_memory, sensors.team.read(self._truth)
+        )
+        if t_us % OBSTACLE_PERIOD_US:
+            return estimate, None
+        self._seen, reading = sensors.objects.read(self._seen, self._truth, self._shapes)
+        self._obstacle_memory, obstacles = perception.obstacles.step(self._obstacle_memory, reading)
+        return estimate, obstacles
+
+    def _actuate(self, actuations: list[Actuation]) -> None:
+        for i, act in enumerate(actuations):
+            if act.release:
+                self._plant.release_hook(i)
+            if act.attach:
+                self._plant.attach_hook(i)
+        self._truth = self._plant.step(np.array([a.rotor_cmd for a in actuations]))
+
+    def _record(self, estimate: TeamEstimate, actuations: list[Actuation]) -> None:
+        leader = self._crew.leader
+        self._recorder.tick(self._ticks.make(self._truth, estimate, leader, actuations))
+
+    def _progress(self, t_us: TimeUs, estimate: TeamEstimate) -> FlightProgress:
+        task, p_WL = self._config.task, estimate.team.p_WL
+        goal = np.array(task.goal_m) if isinstance(task, GoTo) else np.full(3, np.nan)
+        return FlightProgress(
+            t_us=t_us,
+            limit_us=round(self._config.time_limit_s * US_PER_S),
+            phase=self._crew.leader.phase,
+            speed_mps=float(np.linalg.norm(estimate.team.v_WL)),
+            goal_distance_m=float(np.linalg.norm(p_WL - goal)),
+        )

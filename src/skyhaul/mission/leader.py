@@ -1,0 +1,377 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The leading role: map, plan, solve and order. Every method is one step of Algorithm 1."""
+
+import time
+
+import numpy as np
+
+from skyhaul.comms.api import Bus
+from skyhaul.comms.messages import ORDER, PLAN, Order, PlanMessage, Status
+from skyhaul.control.api import ControlRequest, ForcePlan, SolveStatus
+from skyhaul.control.failure import equilibrium_after_loss
+from skyhaul.control.force_plan import (
+    PLANNED_NX,
+    PlanArrays,
+    load_error,
+    plan_arrays,
+    sample_motion,
+    sample_plan,
+)
+from skyhaul.geometry.quaternion import quat_exp, quat_mul, quat_to_R
+from skyhaul.mapping.api import MapChange, WorldMap
+from skyhaul.mission.api import Phase, Recorder, Replan, Solve, Trigger
+from skyhaul.mission.phases import LeaderView, next_phase, spool_plan, without_feedback
+from skyhaul.mission.setup import Stack
+from skyhaul.mission.stopwatch import Stopwatch
+from skyhaul.mission.triggers import ReplanView, SolveView, predicted_clearance, replan_cause
+from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
+from skyhaul.planning.api import ReferencePlan, ReferenceStatus
+from skyhaul.planning.heading import HeadingPlan, fan_out
+from skyhaul.planning.reference import (
+    SplineReference,
+    resting_reference,
+    stop_reference,
+    with_tilt,
+)
+from skyhaul.planning.tasks import lift_reference, task_reference
+from skyhaul.types import (
+    ERR_P,
+    ERR_R,
+    ERR_V,
+    ERR_W,
+    LOAD_NE,
+    LOAD_P,
+    LOAD_Q,
+    LOAD_V,
+    LOAD_W,
+    US_PER_S,
+    Array,
+    Mask,
+    TimeUs,
+)
+
+_TILT_US = 800_000
+"""Time to turn the load to another attitude after a vehicle is lost [us]."""
+
+
+class Leader:
+    """Holds M(t), the reference and the force plan; whichever agent leads runs it."""
+
+    def __init__(
+        self, stack: Stack, index: int, bus: Bus, recorder: Recorder, watch: Stopwatch
+    ) -> None:
+        self.index = index
+        self.phase = {"fly-in": Phase.FLY_IN, "air": Phase.CARRY}.get(
+            stack.start.kind, Phase.TAUTEN
+        )
+        self.order: Order | None = None
+        self.message: PlanMessage | None = None
+        self.reference: SplineReference | None = None
+        self._stack, self._bus, self._recorder, self._watch = stack, bus, recorder, watch
+        self.active: Mask = np.ones(stack.team.count, np.bool_)
+        self._map: WorldMap | None = None
+        self._change: MapChange | None = None
+        self._mapper_memory = stack.mapper.init()
+        self._controller_memory = stack.controller.init()
+        self._statuses: dict[int, Status] = {}
+        self._task_reference: SplineReference | None = None
+        self._reaches_goal = False
+        self._enough_left = True
+        self._plan_arrays: PlanArrays | None = None
+        self._heading: HeadingPlan | None = None
+        self._last_replan_us = -US_PER_S
+        self._phase_since_us = -1
+        self._clearance_m = np.inf
+        self._recover_until_us = 0
+        self._floor_z = 0.0
+        self._reference_changed = self._fault = self._failed = False
+
+    def hear(self, t_us: TimeUs, statuses: list[Status], faulty: frozenset[int]) -> None:
+        """Heartbeats since the last cycle, and who can carry no longer."""
+        for status in statuses:
+            self._statuses[status.vehicle] = status
+        active = np.array([i not in faulty for i in range(self._stack.team.count)])
+        if np.array_equal(active, self.active):
+            return
+        self.active, self._fault = active, True
+        left = ", ".join(str(i) for i in np.flatnonzero(active))
+        self._recorder.trigger(Trigger(t_us, "fault", f"vehicles {left} carry on"))
+        self._recover_until_us = t_us + round(self._stack.mission.recovery_s * US_PER_S)
+        self._controller_memory = self._stack.controller.init()
+        if not active.any():
+            self._enough_left = False
+            return
+        rest = equilibrium_after_loss(self._stack.team, active)
+        self._enough_left = rest.survivable
+        if self.reference is not None and rest.survivable and self._stack.arrays.rigid:
+            tilted = with_tilt(self.reference, t_us, rest.R_WL, _TILT_US)
+            self._adopt(t_us, tilted, self._reaches_goal)
+
+    def take_over(self, index: int, message: PlanMessage | None) -> None:
+        """Lead from another vehicle; flies on along the plan that this one received last."""
+        self.index = index
+        self.message = message
+        self._plan_arrays = None if message is None else plan_arrays(message.plan)
+
+    # Step 1: M(t) = SLAM(p(t), o(t)) ------------------------------------------------------------
+    def update_map(self, estimate: TeamEstimate, obstacles: ObstacleEstimate) -> None:
+        """Bring M(t) up to date and note what changed."""
+        with self._watch.stage("mapping"):
+            self._mapper_memory, self._map, self._change = self._stack.mapper.step(
+                self._mapper_memory, obstacles, estimate.team
+            )
+        if self._change.static_changed:
+            self._recorder.map(self._map)
+
+    # The phases frame Algorithm 1: it begins and ends in the air ---------------------------------
+    def advance(self, t_us: TimeUs, estimate: TeamEstimate) -> None:
+        """Move on to the next phase when this one is done, and tell the vehicles."""
+        blocked = self._column_blocked(t_us, estimate)
+        phase = next_phase(self._stack, self._view(t_us, estimate, blocked=blocked))
+        if phase is not self.phase or self._phase_since_us < 0:
+            self.phase, self._phase_since_us = phase, t_us
+            self._enter(t_us, estimate)
+        order = Order(t_us, self.phase.value, self.active, blocked, self._phase_since_us)
+        if self.order is None or _differs(order, self.order):
+            self.order = order
+            self._bus.publish(ORDER, self.index, t_us, order)
+
+    def _view(self, t_us: TimeUs, estimate: TeamEstimate, *, blocked: bool) -> LeaderView:
+        return LeaderView(
+            phase=self.phase,
+            since_s=(t_us - self._phase_since_us) / US_PER_S,
+            statuses=tuple(self._statuses.get(int(i)) for i in np.flatnonzero(self.active)),
+            column_blocked=blocked,
+            reference_ended=self.reference is not None and t_us >= self.reference.end_us,
+            reaches_goal=self._reaches_goal,
+            lifted_m=float(estimate.team.p_WL[2]) - self._floor_z,
+            enough_left=self._enough_left,
+        )
+
+    def _column_blocked(self, t_us: TimeUs, estimate: TeamEstimate) -> bool:
+        """Whether a mover comes into the lift-off column before the team can leave it."""
+        if self.phase is not Phase.TAUTEN or self._map is None:
+            return False
+        ahead_s = np.linspace(0.0, self._map.tube_horizon_s, 21)
+        place = np.tile(estimate.team.p_WL, (ahead_s.size, 1))
+        clear = self._map.clearance(place, t_us + ahead_s * US_PER_S)
+        blocked = np.flatnonzero(clear < 0.0)
+        if blocked.size == 0:
+            return False
+        return bool(ahead_s[blocked[0]] < self._until_airborne_s())
+
+    def _until_airborne_s(self) -> float:
+        """How long the team still needs to be able to dodge, by the reports of the vehicles [s]."""
+        left = [s.station_in_s for s in self._statuses.values()]
+        if len(left) < int(self.active.sum()):
+            return np.inf
+        return max(left) + self._stack.mission.airborne_s
+
+    def _enter(self, t_us: TimeUs, estimate: TeamEstimate) -> None:
+        """What begins with a phase."""
+        stack, load = self._stack, estimate.team.load
+        if self.phase is Phase.LIFT:
+            self._floor_z = float(load[2])
+            begin = t_us + round(stack.mission.spool_s * US_PER_S)
+            lift = lift_reference(load[:3], stack.mission.lift_m, _yaw(load), begin, stack.limits)
+            self._adopt(t_us, lift, reaches_goal=False)
+            self._publish(t_us, spool_plan(stack, t_us, load, self.active))
+        elif self.phase is Phase.SAFE and self.reference is not None:
+            self._adopt(t_us, stop_reference(self.reference, t_us, stack.limits), False)
+        elif self.phase is Phase.CARRY and self._task_reference is None:
+            self._begin_task(t_us, load)
+
+    def _begin_task(self, t_us: TimeUs, load: Array) -> None:
+        """The reference of a task that is no journey; a journey begins by planning."""
+        stack = self._stack
+        if self.reference is None:
+            self._adopt(t_us, resting_reference(load[:3], _yaw(load), t_us), reaches_goal=False)
+        assert self.reference is not None
+        if stack.task.kind == "goto":
+            self._last_replan_us = -US_PER_S
+            return
+        here = self.reference.sample(np.array([t_us]))
+        self._task_reference = task_reference(
+            stack.task, here.p_WD[0, 0], _yaw(load), t_us, stack.limits
+        )
+        self._adopt(t_us, self._task_reference, reaches_goal=True)
+
+    # Steps 3 and 4: is there an event e(t)? ----------------------------------------------------
+    def detect_event(self, t_us: TimeUs, estimate: TeamEstimate) -> str | None:
+        """Why the reference must be planned anew, or None."""
+        if self._map is None or self._change is None or self.reference is None:
+            return None
+        params = self._stack.mission.replan
+        self._clearance_m, blocked_in_s = predicted_clearance(
+            self._map, self.reference, t_us, params
+        )
+        if self.phase not in (Phase.CARRY, Phase.HOVER) or self._stack.task.kind != "goto":
+            return None
+        here = self.reference.sample(np.array([t_us])).p_WD[0, 0]
+        view = ReplanView(
+            stamp_us=t_us,
+            last_replan_us=self._last_replan_us,
+            change=self._change,
+            clearance_m=self._clearance_m,
+            blocked_in_s=blocked_in_s,
+            tracking_m=float(np.linalg.norm(estimate.team.p_WL - here)),
+            waiting=not self._reaches_goal,
+        )
+        return replan_cause(params, view)
+
+    # Step 2: waypoints = A*(M(t)), path = spline(waypoints) --------------------------------------
+    def replan(self, t_us: TimeUs, cause: str) -> None:
+        """Ask for a new reference to the goal; take it if it is needed or better."""
+        task = self._stack.task
+        if self._map is None or self.reference is None or task.kind != "goto":
+            return
+        began = time.perf_counter()
+        with self._watch.stage("planning"):
+            result = self._stack.planner.plan(
+                self._map, self.reference, t_us, np.array(task.goal_m), self._stack.limits
+            )
+        wall_ms = 1e3 * (time.perf_counter() - began)
+        self._last_replan_us = t_us
+        self._mapper_memory = self._stack.mapper.mark_planned(self._mapper_memory)
+        accepted = result.status is ReferenceStatus.OK and self._is_better(result, cause, t_us)
+        self._recorder.replan(Replan(t_us, cause, result, accepted, wall_ms))
+        if accepted and result.reference is not self.reference:
+            assert isinstance(result.reference, SplineReference)
+            self._adopt(t_us, result.reference, result.reaches_goal)
+            self._recorder.trigger(Trigger(t_us, cause, f"path {result.path.status.value}"))
+
+    def _is_better(self, result: ReferencePlan, cause: str, t_us: TimeUs) -> bool:
+        """Without need a route is only changed for one that saves enough time."""
+        assert self.reference is not None
+        assert result.reference is not None
+        if cause == "corridor_free":
+            return result.reaches_goal
+        if cause != "better_path":
+            return True
+        share = 1.0 - self._stack.mission.replan.better_share
+        left = max(0, self.reference.end_us - t_us)
+        return result.reaches_goal and result.reference.end_us - t_us < share * left
+
+    def _adopt(self, t_us: TimeUs, reference: SplineReference, reaches_goal: bool) -> None:
+        self.reference, self._reaches_goal = reference, reaches_goal
+        self._reference_changed = True
+        n = self._stack.team.count
+        before = 0.0 if self._heading is None else self._heading
+        self._heading = fan_out(reference, n, t_us, before, self._stack.heading)
+        self._recorder.reference(t_us, reference)
+
+    # Step 5: payload NMPC, when triggered ------------------------------------------------------
+    def solve_event(self, t_us: TimeUs, estimate: TeamEstimate) -> str | None:
+        """Why the force plan must be solved anew, or None."""
+        spooling = self.phase is Phase.LIFT and (
+            t_us - self._phase_since_us < self._stack.mission.spool_s * US_PER_S
+        )
+        if self.reference is None or spooling or self.phase in (Phase.FLY_IN, Phase.TAUTEN):
+            return None
+        if not self.active.any():
+            return None
+        if self.message is None:
+            return "start"
+        plan = self.message.plan
+        view = SolveView(
+            age_s=(t_us - plan.stamp_us) / US_PER_S,
+            plan_s=float(plan.node_s[-1]),
+            error=self._plan_error(t_us, estimate.team.load),
+            clearance_m=self._clearance_m,
+            reference_changed=self._reference_changed,
+            fault=self._fault,
+            failed=self._failed,
+        )
+        return self._stack.mission.trigger.cause(view)
+
+    def _plan_error(self, t_us: TimeUs, load: Array) -> Array:
+        """Measured load against the planned one, (12,)."""
+        planned, error = np.empty(PLANNED_NX), np.empty(LOAD_NE)
+        assert self._plan_arrays is not None
+        assert self.message is not None
+        after_s = (t_us - self.message.plan.stamp_us) / US_PER_S
+        sample_motion(self._plan_arrays, after_s, planned)
+        load_error(load, planned, error)
+        return error
+
+    def solve(self, t_us: TimeUs, estimate: TeamEstimate, cause: str) -> None:
+        """Solve for new cable forces and send the plan to everybody."""
+        assert self.reference is not None
+        assert self._map is not None
+        trigger = self._stack.mission.trigger
+        load, force, dforce = self._initial(t_us, estimate)
+        request = ControlRequest(
+            stamp_us=t_us,
+            load=load,
+            force_W=force,
+            dforce_W=dforce,
+            active=self.active,
+            reference=self.reference,
+            world_map=self._map,
+            sqp_iterations=trigger.sqp_iterations,
+        )
+        with self._watch.stage("nmpc"):
+            if t_us < self._recover_until_us:
+                _, solution = self._stack.backup.solve(None, request)
+            else:
+                self._controller_memory, solution = self._stack.controller.solve(
+                    self._controller_memory, request
+                )
+        self._reference_changed = self._fault = False
+        self._failed = solution.status is SolveStatus.FAILED
+        self._recorder.trigger(Trigger(t_us, cause, solution.status.value))
+        self._recorder.solve(Solve(t_us, cause, solution))
+        plan = solution.plan if trigger.feedback else without_feedback(solution.plan)
+        self._publish(t_us, plan)
+
+    def _initial(self, t_us: TimeUs, estimate: TeamEstimate) -> tuple[Array, Array, Array]:
+        """Load state, cable forces and their rates from which a solve starts.
+
+        The new plan goes on from the old one, and the feedback keeps the load in a tube around
+        both; where the load has left the tube, the plan is moved after it, to the tube's edge
+        (tube MPC; Mayne, Seron, Rakovic, Automatica 2005). Without feedback every solve starts
+        from what is measured. The commanded forces go on without a jump either way.
+        """
+        cables = estimate.cables
+        if self.message is None:
+            pull = -cables.tension[:, None] * cables.dir_W
+            return estimate.team.load, pull, np.zeros_like(pull)
+        now = sample_plan(self.message.plan, t_us)
+        error = self._plan_error(t_us, estimate.team.load)
+        trigger = self._stack.mission.trigger
+        outside = 1.0
+        if trigger.feedback:
+            outside = 1.0 - 1.0 / max(1.0, trigger.tube.measure(error))
+        if outside == 0.0:
+            return now.load, now.force_W, now.dforce_W
+        load = move_load(now.load, outside * error)
+        return load, now.force_W + now.gain @ (outside * error), now.dforce_W
+
+    def _publish(self, t_us: TimeUs, plan: ForcePlan) -> None:
+        assert self.reference is not None
+        assert self._heading is not None
+        self.message = PlanMessage(t_us, plan, self.reference, self._heading)
+        self._plan_arrays = plan_arrays(plan)
+        self._bus.publish(PLAN, self.index, t_us, self.message)
+
+
+def _differs(a: Order, b: Order) -> bool:
+    same = a.phase == b.phase and a.retreat == b.retreat
+    return not (same and np.array_equal(a.active, b.active))
+
+
+def move_load(load: Array, error: Array) -> Array:
+    """The load state that differs by an error, (12,), from another, (13,)."""
+    moved = load.copy()
+    moved[LOAD_P] += error[ERR_P]
+    turn = quat_exp(error[ERR_R])
+    moved[LOAD_Q] = quat_mul(load[LOAD_Q], turn)
+    moved[LOAD_V] += error[ERR_V]
+    moved[LOAD_W] = error[ERR_W] + quat_to_R(turn).T @ load[LOAD_W]
+    return moved
+
+
+def _yaw(load: Array) -> float:
+    """Heading of the load [rad]."""
+    R_WL = quat_to_R(load[3:7])
+    return float(np.arctan2(R_WL[1, 0], R_WL[0, 0]))

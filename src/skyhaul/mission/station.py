@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a vehicle flies while it carries nothing: to its station over the load, or away from it."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from skyhaul.model.team import Team
+from skyhaul.params import Params
+from skyhaul.types import Array
+
+
+class Setpoint(NamedTuple):
+    """Where a vehicle shall be."""
+
+    p_WD: Array  # (3,) [m]
+    v_WD: Array  # (3,) [m/s]
+    a_WD: Array  # (3,) [m/s^2]
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """Progress along a polyline; `rate` 1 runs forwards, -1 backwards."""
+
+    corners: Array  # (k, 3) [m]
+    length_m: float  # of the polyline [m]
+    progress_s: float = 0.0
+    rate: float = 0.0
+
+
+def route_along(corners: Array) -> Route:
+    """A route at its beginning, (k, 3) corners [m]."""
+    return Route(corners, float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StationParams(Params):
+    """How vehicles fly to their stations and tauten the cables."""
+
+    speed_mps: float = 1.0
+    """Largest speed on the way [m/s]."""
+    slack_share: float = 0.94
+    """The station lies this share of the cable length from the hook."""
+    creep_mps: float = 0.08
+    """Speed of the creep that tautens the cable [m/s]."""
+    taut_n: float = 0.1
+    """Tension at which the creep stops [N]."""
+    settle_s: float = 0.2
+    """A cable is taut once it has held that tension for this long [s]."""
+    creep_max_share: float = 0.4
+    """The creep goes at most this share of the cable length [-]."""
+    turn_s: float = 0.5
+    """Time to turn from forwards to backwards [s]."""
+    cruise_height_m: float = 1.5
+    """Height of the fly-in [m]."""
+    clear_m: float = 1.5
+    """How far a vehicle without a cable flies off [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("speed_mps", "creep_mps", "taut_n", "turn_s", "clear_m"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
+        if not 0.5 <= self.slack_share < 1.0:
+            raise ValueError(f"slack_share must lie in [0.5, 1), got {self.slack_share}")
+
+    def duration_s(self, route: Route) -> float:
+        """Time from one end of the route to the other [s]."""
+        return max(1.875 * route.length_m / self.speed_mps, 1e-3)
+
+    def advance(self, route: Route, dt_s: float, *, forwards: bool) -> Route:
+        """The route a little later."""
+        wanted, slew = (1.0 if forwards else -1.0), 2.0 * dt_s / self.turn_s
+        rate = route.rate + float(np.clip(wanted - route.rate, -slew, slew))
+        end = self.duration_s(route)
+        progress = float(np.clip(route.progress_s + rate * dt_s, 0.0, end))
+        at_end = (progress == end and rate > 0.0) or (progress == 0.0 and rate < 0.0)
+        return replace(route, progress_s=progress, rate=0.0 if at_end else rate)
+
+    def setpoint(self, route: Route) -> Setpoint:
+        """Minimum-jerk motion along the polyline."""
+        end = self.duration_s(route)
+        s = route.progress_s / end
+        share = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        slope = 30.0 * s * s * (1.0 - s) ** 2 / end * route.rate
+        p, tangent = _along(route.corners, share)
+        bend = (60.0 * s - 180.0 * s * s + 120.0 * s**3) * (route.rate / end) ** 2
+        return Setpoint(p, slope * route.length_m * tangent, bend * route.length_m * tangent)
+
+    def arrived(self, route: Route) -> bool:
+        """Whether the end of the route is reached."""
+        return route.progress_s >= self.duration_s(route)
+
+
+def _along(corners: Array, share: float) -> tuple[Array, Array]:
+    """Point at a share of a polyline's length, and the tangent there."""
+    legs = np.diff(corners, axis=0)
+    lengths = np.linalg.norm(legs, axis=1)
+    ends = np.cumsum(lengths)
+    k = min(int(np.searchsorted(ends, share * ends[-1])), len(legs) - 1)
+    before = ends[k] - lengths[k]
+    tangent: Array = legs[k] / max(lengths[k], 1e-12)
+    point: Array = corners[k] + (share * ends[-1] - before) * tangent
+    return point, tangent
+
+
+def station_point(team: Team, p_WL: Array, R_WL: Array, i: int, share: float) -> Array:
+    """Place of vehicle i in the formation, its cable stretched to a share of its length, (3,)."""
+    length = share * team.cable_lengths_m()[i]
+    point: Array = p_WL + R_WL @ (team.hooks_L()[i] + length * team.formation_dirs_L()[i])
+    return point

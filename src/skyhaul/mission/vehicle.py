@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One vehicle's agent: it follows the leader's order and plan, 500 times a second."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyhaul.comms.api import Bus
+from skyhaul.comms.messages import FAULT, STATUS, Fault, Order, PlanMessage, Status
+from skyhaul.control.failure import Rotor
+from skyhaul.geometry.quaternion import quat_to_R
+from skyhaul.mission.api import Phase
+from skyhaul.mission.phases import spool_share
+from skyhaul.mission.setup import Stack
+from skyhaul.mission.station import Route, Setpoint, route_along, station_point
+from skyhaul.mission.tracking import SharedTracking
+from skyhaul.model.mixer import saturate_rotors
+from skyhaul.perception.api import TeamEstimate
+from skyhaul.plant.api import PLANT_STEP_US
+from skyhaul.types import US_PER_S, Array, TimeUs
+
+STATUS_PERIOD_US = 20_000
+"""Time between two heartbeats of a vehicle [us]."""
+_DT_S = PLANT_STEP_US / US_PER_S
+
+
+@dataclass(frozen=True, eq=False)
+class Actuation:
+    """What one agent asks of its hardware."""
+
+    rotor_cmd: Array  # (4,) [N]
+    thrust: float  # total asked for [N]
+    moment_B: Array  # (3,) [N m]
+    force_W: Array  # (3,) force of the cable on the load that was aimed at [N]
+    dforce_W: Array  # (3,) [N/s]
+    release: bool = False  # open the own hook
+    attach: bool = False  # close the own hook
+
+
+class VehicleAgent:
+    """Agent of vehicle i. It talks to the others over the bus only."""
+
+    def __init__(self, index: int, stack: Stack, bus: Bus, tracking: SharedTracking) -> None:
+        self.index = index
+        self.plan: PlanMessage | None = None
+        self.order: Order | None = None
+        self.faulty: frozenset[int] = frozenset()
+        self._stack, self._bus = stack, bus
+        self._tracking = tracking
+        self._watch = stack.fault_watch.init()
+        self._route: Route | None = None
+        self._creep_m = 0.0
+        self._taut_s = 0.0
+        self._thrust_cmd = 0.0
+        arrays = stack.arrays
+        self._rotor = Rotor(float(arrays.thrust_max[index]), arrays.motor_lag)
+
+    def hear(self, t_us: TimeUs) -> list[Status]:
+        """Take in what the others sent; returns their heartbeats, for whoever leads."""
+        statuses = []
+        for envelope in self._bus.receive(self.index, t_us):
+            match envelope.payload:
+                case PlanMessage() as plan:
+                    self.plan = plan
+                case Order() as order:
+                    self.order = order
+                case Fault() as fault:
+                    self.faulty |= {fault.vehicle}
+                case Status() as status:
+                    statuses.append(status)
+        return statuses
+
+    def report(self, t_us: TimeUs, estimate: TeamEstimate) -> Status | None:
+        """Send the heartbeat when it is due, and a fault when there is a new one."""
+        i = self.index
+        reason = self._new_fault(estimate)
+        if reason is not None:
+            self.faulty |= {i}
+            self._route = None
+            self._bus.publish(FAULT, i, t_us, Fault(t_us, i, reason))
+        if t_us % STATUS_PERIOD_US:
+            return None
+        status = Status(
+            stamp_us=t_us,
+            vehicle=i,
+            p_WB=estimate.team.p_WB[i],
+            v_WB=estimate.team.v_WB[i],
+            tension=float(estimate.cables.tension[i]),
+            taut=self._taut_s >= self._stack.mission.station.settle_s,
+            attached=bool(estimate.attached[i]),
+            at_station=self._arrived(),
+            station_in_s=self._station_in_s(),
+        )
+        self._bus.publish(STATUS, i, t_us, status)
+        return status
+
+    def act(self, t_us: TimeUs, estimate: TeamEstimate) -> Actuation:
+        """Steps 5 and 6 of Algorithm 1: turn the plan into rotor thrusts."""
+        order, i = self.order, self.index
+        if i in self.faulty:
+            act = self._leave(estimate)
+        elif order is None:
+            act = self._idle()
+        elif order.phase in (Phase.FLY_IN.value, Phase.TAUTEN.value):
+            act = self._to_station(estimate, retreat=order.retreat)
+        elif self.plan is not None:
+            act = self._carry(estimate, self.plan, self._share(t_us, order))
+        else:
+            act = self._idle()
+        self._thrust_cmd = float(act.rotor_cmd.sum())
+        return act
+
+    def _new_fault(self, estimate: TeamEstimate) -> str | None:
+        """Why this vehicle can carry no longer, the first time it is seen; None otherwise."""
+        i = self.index
+        self._watch, weak = self._stack.fault_watch.step(
+            self._watch, self._thrust_cmd, float(estimate.thrust[i]), self._rotor, _DT_S
+        )
+        if i in self.faulty:
+            return None
+        if weak:
+            return "its rotors do not give the thrust asked for"
+        if self.plan is not None and not estimate.attached[i]:
+            return "its cable is off the load"
+        return None
+
+    def _share(self, t_us: TimeUs, order: Order) -> float:
+        """Share of the planned forces to pull with: all but at the beginning of the lift."""
+        if order.phase != Phase.LIFT.value:
+            return 1.0
+        return spool_share(self._stack, (t_us - order.since_us) / US_PER_S)
+
+    def _carry(self, estimate: TeamEstimate, message: PlanMessage, share: float) -> Actuation:
+        """Follow the force plan with cable and attitude control."""
+        i = self.index
+        c = self._tracking.command(i, estimate, message, share)
+        return Actuation(
+            c.rotor_cmd[i], float(c.thrust[i]), c.moment_B[i], c.force_W[i], c.dforce_W[i]
+        )
+
+    def _to_station(self, estimate: TeamEstimate, *, retreat: bool) -> Actuation:
+        """Fly to the station over the load and tauten the cable; back again on a retreat."""
+        params = self._stack.mission.station
+        if self._route is None:
+            self._route = route_along(self._way_in(estimate))
+        self._route = params.advance(self._route, _DT_S, forwards=not retreat)
+        if retreat:
+            self._creep_m = self._taut_s = 0.0
+            if self._route.progress_s == 0.0:
+                return self._idle()
+        target, attach = params.setpoint(self._route), False
+        if self._arrived():
+            target = self._creep(estimate)
+            attach = not estimate.attached[self.index]
+        return self._fly_free(estimate, target, attach=attach)
+
+    def _way_in(self, estimate: TeamEstimate) -> Array:
+        """Corners of the way from the parking place to the station, (k, 3) [m]."""
+        i, team = self.index, estimate.team
+        end = self._station(estimate, 0.0)
+        if self._stack.start.kind != "fly-in":
+            return np.array([team.p_WB[i], end])
+        height = max(self._stack.mission.station.cruise_height_m, end[2] + 0.3)
+        above = np.array([*team.p_WB[i, :2], height])
+        return np.array([team.p_WB[i], above, [end[0], end[1], height], end])
+
+    def _station(self, estimate: TeamEstimate, creep_m: float) -> Array:
+        """Place over the load with the cable a little slack, pushed out by the creep, (3,) [m]."""
+        i, stack = self.index, self._stack
+        share = stack.mission.station.slack_share + creep_m / stack.team.cable_lengths_m()[i]
+        R_WL = quat_to_R(estimate.team.q_WL)
+        return station_point(stack.team, estimate.team.p_WL, R_WL, i, share)
+
+    def _creep(self, estimate: TeamEstimate) -> Setpoint:
+        """Push the station outward along the cable until the cable is taut."""
+        params, i = self._stack.mission.station, self.index
+        slack = estimate.cables.tension[i] < params.taut_n
+        self._taut_s = 0.0 if slack else self._taut_s + _DT_S
+        if slack and estimate.attached[i]:
+            limit = params.creep_max_share * self._stack.team.cable_lengths_m()[i]
+            self._creep_m = min(self._creep_m + params.creep_mps * _DT_S, limit)
+        return Setpoint(self._station(estimate, self._creep_m), np.zeros(3), np.zeros(3))
+
+    def _leave(self, estimate: TeamEstimate) -> Actuation:
+        """Let go of the load, then fly clear of the team if the rotors still turn."""
+        i, params = self.index, self._stack.mission.station
+        if estimate.attached[i]:
+            return self._idle(release=True)
+        if self._route is None:
+            here = estimate.team.p_WB[i]
+            out = here - estimate.team.p_WL
+            out[2] = 0.0
+            out /= max(float(np.linalg.norm(out)), 1e-9)
+            away = here + params.clear_m * out + np.array([0.0, 0.0, 0.3])
+            self._route = route_along(np.array([here, away]))
+        self._route = params.advance(self._route, _DT_S, forwards=True)
+        return self._fly_free(estimate, params.setpoint(self._route))
+
+    def _fly_free(
+        self, estimate: TeamEstimate, target: Setpoint, *, attach: bool = False
+    ) -> Actuation:
+        i, n = self.index, self._stack.team.count
+        p_WD, v_WD, a_WD = (np.tile(row, (n, 1)) for row in target)
+        thrust, moment = self._stack.free_flight.step(estimate.team, p_WD, v_WD, a_WD, np.zeros(n))
+        wrench = np.column_stack([thrust, moment])
+        rotors = saturate_rotors(self._stack.arrays, wrench)
+        nothing = np.zeros(3)
+        return Actuation(rotors[i], float(thrust[i]), moment[i], nothing, nothing, attach=attach)
+
+    def _idle(self, *, release: bool = False) -> Actuation:
+        nothing = np.zeros(3)
+        return Actuation(np.zeros(4), 0.0, nothing, nothing, nothing, release=release)
+
+    def _station_in_s(self) -> float:
+        """Time until the station is reached [s]; inf while parked."""
+        if self._route is None or self._route.progress_s == 0.0:
+            return np.inf
+        return self._stack.mission.station.duration_s(self._route) - self._route.progress_s
+
+    def _arrived(self) -> bool:
+        route = self._route
+        return route is not None and self._stack.mission.station.arrived(route)

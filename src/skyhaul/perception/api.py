@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates that perception hands to mapping, planning and control."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeVar
+
+from skyhaul.geometry.shapes import Shape
+from skyhaul.model.state import CableState, TeamState
+from skyhaul.sensors.api import ObjectsReading, TeamReading
+from skyhaul.types import Array, IntArray, Mask, TimeUs, frozen
+
+Memory = TypeVar("Memory")
+
+
+@dataclass(frozen=True, eq=False)
+class TeamEstimate:
+    """Where everything of the team is."""
+
+    stamp_us: TimeUs
+    team: TeamState
+    cables: CableState
+    attached: Mask  # (n,) cables that join a vehicle and the load
+    thrust: Array  # (n,) thrust that the rotors give now, from rotor speeds [N]
+    load_covariance: Array  # (12, 12) of the load error, layout of `types.ERR_P`; 0 when exact
+
+    def __post_init__(self) -> None:
+        frozen(self.attached, self.thrust, self.load_covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One moving obstacle: its state and where it can be soon.
+
+    The predicted tube at dt after the stamp is the shape at p_WO + v_WO dt, grown by
+    `tube_m(dt)` on every side.
+    """
+
+    track_id: int
+    stamp_us: TimeUs
+    shape: Shape
+    p_WO: Array  # (3,) [m]
+    R_WO: Array  # (3, 3)
+    v_WO: Array  # (3,) [m/s]
+    covariance: Array  # (6, 6) of p_WO, v_WO
+    growth_mps: float  # growth of the tube, from the unknown manoeuvres of the obstacle [m/s]
+    tube_base_m: float  # radius of the tube at dt = 0: size error + 3 sigma of the position [m]
+
+    def __post_init__(self) -> None:
+        frozen(self.p_WO, self.R_WO, self.v_WO, self.covariance)
+
+    def tube_m(self, dt_s: float) -> float:
+        """Radius by which the shape is grown dt after the stamp [m]."""
+        return self.tube_base_m + self.growth_mps * abs(dt_s)
+
+
+class TrackArrays(NamedTuple):
+    """Tracks as struct of arrays, all brought to one stamp, for the kernels."""
+
+    kind: IntArray  # (m,) codes of geometry.shapes
+    size: Array  # (m, 3)
+    p_WO: Array  # (m, 3)
+    R_WO: Array  # (m, 3, 3)
+    v_WO: Array  # (m, 3)
+    tube_base: Array  # (m,)
+    growth: Array  # (m,)
+
+
+@dataclass(frozen=True, eq=False)
+class StaticObject:
+    """One obstacle that stands: what the static layer is filled with."""
+
+    object_id: int
+    shape: Shape
+    p_WO: Array  # (3,) [m]
+    R_WO: Array  # (3, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class ObstacleEstimate:
+    """What stands and what moves around the team."""
+
+    stamp_us: TimeUs
+    statics: tuple[StaticObject, ...]  # every one known so far
+    tracks: tuple[Track, ...]  # confirmed and alive
+
+
+class TeamEstimator(Protocol[Memory]):
+    """Readings -> the team's state. Stateful through an explicit memory."""
+
+    def init(self) -> Memory:
+        """Memory before the first reading."""
+        ...
+
+    def step(self, memory: Memory, reading: TeamReading) -> tuple[Memory, TeamEstimate]:
+        """Take one reading in."""
+        ...
+
+
+class ObstacleEstimator(Protocol[Memory]):
+    """Readings -> obstacles. Stateful through an explicit memory."""
+
+    def init(self) -> Memory:
+        """Memory before the first reading."""
+        ...
+
+    def step(self, memory: Memory, reading: ObjectsReading) -> tuple[Memory, ObstacleEstimate]:
+        """Take one reading in."""
+        ...

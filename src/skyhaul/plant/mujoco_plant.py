@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant: MuJoCo with rotor lag, wind, obstacles, hooks, failures and true clearance."""
+
+import mujoco
+import numpy as np
+
+from skyhaul.errors import ConfigError, SkyhaulError
+from skyhaul.geometry.distance import bounding_radius
+from skyhaul.model.envelope import team_shape
+from skyhaul.model.mixer import mixer_matrix
+from skyhaul.model.state import CableState, TautState, TeamState
+from skyhaul.plant.api import PLANT_STEP_US, Contact, Truth
+from skyhaul.plant.build import OPEN_M, build_model, place, relax, set_taut_state
+from skyhaul.plant.clearance import (
+    Surroundings,
+    room_distance,
+    touch_memory,
+    update_touches,
+)
+from skyhaul.plant.events import EventQueue
+from skyhaul.plant.observe import Constraints, Inputs, observe, team_bodies, write_inputs
+from skyhaul.plant.rotors import rotor_lag
+from skyhaul.plant.start import start_state
+from skyhaul.plant.wind import is_calm, wind_model
+from skyhaul.types import US_PER_S, Array, IntArray, TimeUs, frozen
+from skyhaul.world.motion import obstacle_field
+from skyhaul.world.scenario import Scenario
+
+STEP_S = PLANT_STEP_US / US_PER_S
+
+
+class MujocoPlant:
+    """See `plant.api.Plant`. Same scenario, seed and commands: same truth, bit for bit.
+
+    Thrust follows the rotors' lag as its mean over each step; drag acts on the velocity relative
+    to the air; wind and obstacles are held over a step. Every cable but a cut one can be attached
+    again. The place of a slack or open cable is a straight line for `Truth.cables`; for clearance
+    an open cable does not exist.
+
+    Limits:
+        Cables have no mass, no drag and pass through each other; nothing they touch feels them.
+        The wind is the same everywhere. Rotors do not stall, and know no ground effect.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        """Build the world of a scenario.
+
+        Args:
+            scenario: What to build.
+            seed: Sets the phases of the obstacles (0: as in the file) and the turbulence.
+
+        Raises:
+            ConfigError: when the start is impossible: bodies in each other, in an obstacle or
+                outside the room, cables too short; or when an event names no vehicle.
+        """
+        team, world = scenario.team, scenario.world
+        self._team = team.arrays()
+        self._mixer = mixer_matrix(team.vehicle.arm_m, team.vehicle.torque_per_thrust_m)
+        self._drag = np.array(
+            [team.payload.drag_ns_per_m] + team.count * [team.vehicle.drag_ns_per_m]
+        )
+        self._field = obstacle_field(world, seed, team_shape(team, 0.0))
+        shapes = self._field.shapes
+        self._reach = np.array([bounding_radius(shapes, j) for j in range(len(shapes.kind))])
+        self._room = (np.array(world.room.min_m, float), np.array(world.room.max_m, float))
+        self._wind = wind_model(world.wind, STEP_S)
+        self._gusty = not is_calm(world.wind)
+        self._air = self._wind.init(seed)
+
+        start = start_state(scenario)
+        self._model = build_model(team, world.room, self._field.shapes_at(0), self._field.names)
+        self._data = mujoco.MjData(self._model)
+        self._t_us: TimeUs = 0
+        self._alive = np.ones(team.count, dtype=np.bool_)
+        self._attached = np.full(team.count, start.attached)
+        self._cut = np.zeros(team.count, dtype=np.bool_)
+        self._rotors = start.rotor_thrust.copy()
+        self._events = EventQueue(scenario, start.p_WL)
+        for i in np.flatnonzero(~self._attached):
+            self._open(int(i))
+        d = self._data
+        self._inputs = Inputs(d.ctrl, d.xfrc_applied, d.mocap_pos)
+        self._views = (d.qpos, d.qvel, d.qacc)
+        self._bodies = team_bodies(team)
+        self._touches = touch_memory(team.count, len(self._field.names))
+        self._present = self._field.present(0, start.p_WL.copy())
+        frozen(self._present)
+        self._wind_W = self._wind.at(self._air, 0.0)
+        self._write(self._rotors)
+        place(self._model, d, start)
+        self._check_start(self._observe())
+        relax(self._model, d, start)
+        self._touches.touching[:] = False
+        self._truth = self._observe()
+
+    def truth(self) -> Truth:
+        """State now."""
+        return self._truth
+
+    def step(self, rotor_cmd: Array) -> Truth:
+        """Advance `PLANT_STEP_US` under commanded rotor thrusts, (n, 4) [N]; clipped per rotor."""
+        command = np.array(rotor_cmd, dtype=np.float64)  # a copy: kernels see one type only
+        if command.shape != self._rotors.shape:
+            raise SkyhaulError(
+                f"rotor_cmd must have shape {self._rotors.shape}, got {command.shape}"
+            )
+        self._play_events()
+        mean = np.empty_like(self._rotors)
+        rotor_lag(self._team, self._alive, command, STEP_S, self._rotors, mean)
+        self._write(mean)
+        mujoco.mj_step(self._model, self._data)
+        self._t_us += PLANT_STEP_US
+        if self._gusty:
+            self._wind.step(self._air)
+            self._wind_W = self._wind.at(self._air, self._t_us / US_PER_S)
+        mujoco.mj_forward(self._model, self._data)
+        self._truth = self._observe()
+        return self._truth
+
+    def set_taut(self, state: TautState, rotor_thrust: Array) -> Truth:
+        """Put the team into a taut state, cables exactly as long as they are; time goes on.
+
+        Args:
+            state: Where to put it; motion included.
+            rotor_thrust: Thrusts of the rotors then, (n, 4) [N].
+        """
+        set_taut_state(self._model, self._data, self._team, state)
+        self._rotors[:] = rotor_thrust
+        self._write(self._rotors)
+        mujoco.mj_forward(self._model, self._data)
+        self._truth = self._observe()
+        return self._truth
+
+    def release_hook(self, i: int) -> None:
+        """Open the quick-release hook of cable i: it falls away with its vehicle."""
+        self._attached[i] = False
+        self._open(i)
+
+    def attach_hook(self, i: int) -> bool:
+        """Close hook i; False when the vehicle is farther from it than the cable is long."""
+        reaches = self._truth.cables.length[i] <= self._team.length[i]
+        if reaches and not self._cut[i]:
+            self._attached[i] = True
+            self._model.tendon_range[i, 1] = self._team.length[i]
+        return bool(self._attached[i])
+
+    def _open(self, i: int) -> None:
+        self._model.tendon_range[i, 1] = OPEN_M
+
+    def _play_events(self) -> None:
+        for event in self._events.due(self._t_us, self._truth.team.p_WL):
+            if event.kind == "vehicle-dies":
+                self._alive[event.vehicle] = False
+            else:
+                self._cut[event.vehicle] |= event.kind == "cable-cut"
+                self.release_hook(event.vehicle)
+
+    def _write(self, rotor_mean: Array) -> None:
+        p_WO = self._field.state_at(self._t_us)[0]
+        write_inputs(
+            self._inputs, self._mixer, rotor_mean, self._wind_W, self._drag, p_WO, self._present
+        )
+
+    def _observe(self) -> Truth:
+        """Read MuJoCo out after a forward pass at the present state."""
+        d = self._data
+        rows = Constraints(d.efc_type, d.efc_id, d.efc_force)
+        o = observe(self._team, *self._views, rows, self._bodies)
+        if not np.isfinite(o.accel_W).all():
+            raise SkyhaulError(f"the plant diverged at {self._t_us / US_PER_S:.3f} s")
+        p_WO, v_WO = self._field.state_at(self._t_us)
+        present = self._present | self._field.present(self._t_us, o.p_WL)
+        self._present = present
+        obstacles = self._field.shapes._replace(p_WO=p_WO)
+        around = Surroundings(obstacles, self._reach, present, *self._room)
+        clearance, begun = update_touches(self._bodies, self._attached, around, self._touches)
+        return Truth(
+            stamp_us=self._t_us,
+            team=TeamState(o.p_WL, o.q_WL, o.v_WL, o.w_WL_L, o.p_WB, o.q_WB, o.v_WB, o.w_WB_B),
+            cables=CableState(o.dir_W, o.w_W, o.tension, o.length),
+            attached=self._attached.copy(),
+            alive=self._alive.copy(),
+            rotor_thrust=self._rotors.copy(),
+            accel_W=o.accel_W,
+            obstacles=obstacles,
+            v_WO=v_WO,
+            present=present,
+            wind_W=self._wind_W.copy(),
+            clearance_m=clearance,
+            contacts=self._contacts(self._touches.begun[:begun]) if begun else (),
+        )
+
+    def _contacts(self, begun: IntArray) -> tuple[Contact, ...]:
+        n, names = len(self._alive), self._field.names
+        team = ["payload", *(f"vehicle {i}" for i in range(n)), *(f"cable {i}" for i in range(n))]
+        others = [*names, "room", *team]
+        return tuple(Contact(self._t_us, team[r], others[c]) for r, c in begun)
+
+    def _check_start(self, truth: Truth) -> None:
+        """Bodies are inside the room and touch only its floor; cables are in no obstacle."""
+        around = Surroundings(truth.obstacles, self._reach, truth.present, *self._room)
+        team = ["payload", *(f"vehicle {i}" for i in range(truth.team.n))]
+        for r, name in enumerate(team):
+            if room_distance(self._bodies, r, around) < -1e-6:
+                raise ConfigError(f"start: {name} is not inside the room; move it or grow the room")
+        for contact in truth.contacts:
+            slack = contact.body_a.startswith("cable") and contact.body_b in team
+            if contact.body_b != "room" and not slack:
+                raise ConfigError(
+                    f"start: {contact.body_a} is inside {contact.body_b} at time 0; "
+                    "move one of them"
+                )

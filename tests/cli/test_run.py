@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`skyhaul run` with a flight that is only told, not flown."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import skyhaul.cli.run as command
+from skyhaul.cli.main import main
+from skyhaul.cli.overrides import run_overrides
+from skyhaul.cli.progress import FlightBar
+from skyhaul.errors import ConfigError
+from skyhaul.mission.api import Outcome, Phase
+from skyhaul.mission.config import RunConfig
+from skyhaul.mission.flight import FlightProgress
+from skyhaul.mission.triggers import PeriodicTrigger
+
+
+class Folder:
+    """Stands in for the recorder: makes the folder and one file."""
+
+    def __init__(self, folder: Path, config: RunConfig, seed: int) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "config.yaml").write_text(f"{config.name} {seed}")
+
+
+def told(outcome: Outcome | Exception) -> Callable[..., Outcome]:
+    """A flight that ends as told."""
+
+    def fly(
+        config: RunConfig, seed: int, recorder: object, progress: Callable[[FlightProgress], None]
+    ) -> Outcome:
+        for t_us in (0, 100_000):
+            progress(FlightProgress(t_us, 10_000_000, Phase.CARRY, 0.5, 3.0))
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    return fly
+
+
+def outcome(success: bool, reason: str) -> Outcome:
+    return Outcome(success=success, reason=reason, end_us=100_000, cpu_s={}, wall_s=0.1)
+
+
+@pytest.fixture
+def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """An empty working folder; what judges and reports is replaced."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "RunRecorder", Folder)
+    monkeypatch.setattr(command, "evaluate", lambda folder: {})
+    monkeypatch.setattr(command, "print_table", lambda metrics: None)
+    monkeypatch.setattr(command, "write_report", lambda folder, video: None)
+    return tmp_path
+
+
+@pytest.mark.parametrize(("success", "code"), [(True, 0), (False, 3)])
+def test_the_exit_code_tells_whether_the_mission_was_done(
+    success: bool,
+    code: int,
+    written: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(command, "fly", told(outcome(success, "because")))
+    assert main(["run", "hover", "--seed", "5", "--out", "mine"]) == code
+    assert (written / "mine" / "config.yaml").read_text() == "hover 5"
+    assert "because" in capsys.readouterr().out
+
+
+def test_runs_without_out_get_folders_of_their_own(
+    written: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "fly", told(outcome(True, "done")))
+    for _ in range(3):
+        assert main(["run", "hover"]) == 0
+    folders = list((written / "runs").iterdir())
+    assert len(folders) == 3
+    assert all(f.name.startswith("hover-seed0-") for f in folders)
+
+
+def test_no_name_leads_out_of_the_folder_of_runs() -> None:
+    for name in ("../../etc", "/tmp/x", "a b/c", ".."):
+        assert command.default_folder(name, 0).parent == Path("runs")
+
+
+def test_a_refused_flight_leaves_nothing(
+    written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "fly", told(ConfigError("start: vehicle 1 stands in a wall")))
+    assert main(["run", "hover", "--out", "mine"]) == 1
+    assert list(written.iterdir()) == []
+    (written / "mine").mkdir()
+    assert main(["run", "hover", "--out", "mine"]) == 1
+    assert list((written / "mine").iterdir()) == []
+    assert "skyhaul: start: vehicle 1 stands in a wall\n" in capsys.readouterr().err
+
+
+def test_a_crash_keeps_the_folder_as_evidence(
+    written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "fly", told(RuntimeError("odd")))
+    assert main(["run", "hover", "--out", "mine"]) == 1
+    assert (written / "mine" / "config.yaml").is_file()
+    assert "a fault of ours: RuntimeError: odd" in capsys.readouterr().err
+
+
+def test_a_used_folder_is_refused_and_left_alone(
+    written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "fly", told(outcome(True, "done")))
+    (written / "mine").mkdir()
+    (written / "mine" / "notes.txt").write_text("keep")
+    assert main(["run", "hover", "--out", "mine"]) == 1
+    assert main(["run", "hover", "--out", "mine/notes.txt"]) == 1
+    err = capsys.readouterr().err
+    assert "mine: is not empty; give a new or an empty folder" in err
+    assert "notes.txt: is a file; give a folder" in err
+    assert (written / "mine" / "notes.txt").read_text() == "keep"
+
+
+def test_flags_become_entries_and_set_wins(written: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[RunConfig] = []
+
+    def fly(config: RunConfig, *_: object) -> Outcome:
+        seen.append(config)
+        return outcome(True, "done")
+
+    monkeypatch.setattr(command, "fly", fly)
+    flags = ["--trigger", "periodic", "--set", "mission.trigger.rate_hz=7", "limits.v_max_mps=1"]
+    assert main(["run", "hover", "--out", "mine", *flags]) == 0
+    assert seen[0].mission.trigger == PeriodicTrigger(rate_hz=7.0)
+    assert seen[0].limits.v_max_mps == 1.0
+
+
+def test_latency_none_changes_nothing() -> None:
+    args = argparse.Namespace(perception="truth", trigger=None, latency="none", overrides=[])
+    assert run_overrides(args) == []
+    args.latency = "measured"
+    assert run_overrides(args) == ["mission.latency=measured"]
+
+
+def test_without_a_terminal_progress_is_a_line_for_each_phase(tmp_path: Path) -> None:
+    with (tmp_path / "out").open("w+") as file:
+        with FlightBar("hover", file) as bar:
+            for t_us, phase in ((0, Phase.TAUTEN), (50, Phase.TAUTEN), (2_000_000, Phase.CARRY)):
+                bar.update(FlightProgress(t_us, 9_000_000, phase, 0.1, float("nan")))
+        file.seek(0)
+        lines = file.read().splitlines()
+    assert lines == ["hover: t = 0.0 s, tauten", "hover: t = 2.0 s, carry"]

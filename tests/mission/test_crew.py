@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The agents together: who leads, who knows what, and that nothing passes but by the bus."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from skyhaul.mission.api import Phase
+from skyhaul.mission.crew import Crew
+from skyhaul.mission.loop import cycle
+
+STEP_US, LOOK_US = 2_000, 20_000
+
+
+def crew_of(e):
+    return Crew(e.stack, e.bus, e.notes, e.watch)
+
+
+def run(crew, e, steps, first=0, **changes):
+    """Cycles of a team that hovers; returns what was asked of the hardware last."""
+    for k in range(first, first + steps):
+        t_us = STEP_US * k
+        seen = None if t_us % LOOK_US else e.nothing_seen(t_us)
+        actuations = cycle(crew, t_us, e.estimate(t_us, **changes), seen)
+    return actuations
+
+
+def test_everyone_has_the_plan_one_tick_after_the_leader(ensemble):
+    crew = crew_of(ensemble)
+    run(crew, ensemble, 1)
+    plan = crew.leader.message
+    assert plan is not None
+    assert [a.plan is plan for a in crew.agents] == [True, False, False, False]
+    run(crew, ensemble, 1, first=1)
+    assert all(a.plan is plan for a in crew.agents)
+    assert all(a.order is crew.leader.order for a in crew.agents)
+
+
+def test_with_a_delay_the_followers_fly_the_old_plan_until_the_new_one_arrives(
+    make_ensemble, stack
+):
+    e = make_ensemble(stack, delay_ms=30.0)
+    crew = crew_of(e)
+    run(crew, e, 15)
+    assert [a.plan is None for a in crew.agents] == [False, True, True, True]
+    run(crew, e, 1, first=15)
+    assert all(a.plan is crew.leader.message for a in crew.agents)
+
+
+def test_agents_with_the_same_plan_ask_for_what_one_controller_of_all_would(ensemble):
+    crew, stack = crew_of(ensemble), ensemble.stack
+    run(crew, ensemble, 1)
+    acts = run(crew, ensemble, 1, first=1)
+    rotors = np.array([a.rotor_cmd for a in acts])
+    weight = stack.arrays.g * (stack.arrays.m_L + stack.arrays.m_B.sum())
+    lean = np.array([a.thrust for a in acts])
+    assert rotors.shape == (4, 4)
+    assert weight < lean.sum() < 1.1 * weight  # the cables lean outward, so a little more
+
+
+def test_every_vehicle_reports_fifty_times_a_second_and_the_leader_hears_all(ensemble):
+    crew = crew_of(ensemble)
+    run(crew, ensemble, 500)
+    sent = Counter(m.sender for m in ensemble.notes.messages if m.topic == "status")
+    assert sent == dict.fromkeys(range(4), 50)
+    assert sorted(crew.leader._statuses) == [0, 1, 2, 3]
+    assert {s.stamp_us for s in crew.leader._statuses.values()} == {980_000}
+
+
+def test_a_vehicle_off_its_cable_is_left_out_by_all(ensemble):
+    crew = crew_of(ensemble)
+    run(crew, ensemble, 20)
+    run(crew, ensemble, 15, first=20, attached=[True, True, False, True])
+    assert crew.leader.index == 0
+    assert all(a.faulty == {2} for a in crew.agents)
+    np.testing.assert_array_equal(crew.leader.active, [True, True, False, True])
+    assert all(a.plan is crew.leader.message for a in crew.agents)
+    np.testing.assert_array_equal(crew.agents[3].plan.plan.active, [True, True, False, True])
+    (fault,) = [m.payload for m in ensemble.notes.messages if m.topic == "fault"]
+    assert (fault.vehicle, fault.reason) == (2, "its cable is off the load")
+
+
+def test_leadership_passes_to_the_lowest_vehicle_that_is_not_faulty(ensemble):
+    crew = crew_of(ensemble)
+    run(crew, ensemble, 20)
+    plan = crew.leader.message
+    run(crew, ensemble, 1, first=20, attached=[False, True, True, True])
+    assert crew.leader.index == 1
+    assert crew.leader.message is plan  # it flies on along the plan it received
+    run(crew, ensemble, 15, first=21, attached=[False, True, True, True])
+    np.testing.assert_array_equal(crew.leader.active, [False, True, True, True])
+    senders = [m.sender for m in ensemble.notes.messages if m.topic == "plan"]
+    assert senders[0] == 0
+    assert senders[-1] == 1
+    assert all(a.plan is crew.leader.message for a in crew.agents)
+
+
+def test_leadership_passes_over_a_bus_with_delay(make_ensemble, stack):
+    e = make_ensemble(stack, delay_ms=40.0)
+    crew = crew_of(e)
+    run(crew, e, 60)
+    run(crew, e, 60, first=60, attached=[False, True, True, True])
+    assert crew.leader.index == 1
+    assert all(a.faulty == {0} for a in crew.agents)
+    run(crew, e, 20, first=120, attached=[False, True, True, True])
+    assert all(a.plan is crew.leader.message for a in crew.agents)
+    np.testing.assert_array_equal(crew.agents[3].plan.plan.active, [False, True, True, True])
+
+
+def test_when_all_are_faulty_the_last_leader_keeps_the_role(ensemble):
+    crew = crew_of(ensemble)
+    run(crew, ensemble, 20)
+    run(crew, ensemble, 15, first=20, attached=[False] * 4)
+    assert 0 <= crew.leader.index < 4
+    assert not crew.leader.active.any()
+    assert crew.leader.phase is Phase.SAFE
+    assert not any("plan" in m.topic for m in ensemble.notes.messages if m.sent_us > 42_000)
+
+
+@pytest.mark.parametrize("dead", [0, 2])
+def test_rotors_that_give_nothing_are_a_fault_within_a_tenth_of_a_second(ensemble, dead):
+    crew = crew_of(ensemble)
+    run(crew, ensemble, 20)
+    for k in range(20, 70):
+        t_us = STEP_US * k
+        estimate = ensemble.estimate(t_us)
+        thrust = np.array(estimate.thrust)
+        thrust[dead] = 0.0
+        object.__setattr__(estimate, "thrust", thrust)
+        acts = cycle(crew, t_us, estimate, ensemble.nothing_seen(t_us))
+    assert all(a.faulty == {dead} for a in crew.agents)
+    assert acts[dead].release
+    np.testing.assert_array_equal(acts[dead].rotor_cmd, 0.0)
+    assert not any(a.release for i, a in enumerate(acts) if i != dead)

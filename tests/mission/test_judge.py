@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When a flight is over."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skyhaul.geometry.quaternion import quat_exp
+from skyhaul.mission.api import Phase
+from skyhaul.mission.judge import FLYING_ON, Judge
+from skyhaul.model import PointPayload, Team
+from skyhaul.world.scenario import CircleTask, GoTo, Scenario
+
+GOAL = (1.0, 2.0, 3.0)
+STEP_US = 10_000
+
+
+def judge_of(**entries):
+    task = GoTo(goal_m=GOAL, within_m=0.2, below_mps=0.1, hold_s=2.0)
+    return Judge(Scenario(**{"task": task, "time_limit_s": 60.0} | entries))
+
+
+@pytest.fixture
+def at(make_estimate):
+    """Estimate of a team with its load at a place, with a velocity and a tilt."""
+
+    def make(p_WL=GOAL, v_WL=(0.0, 0.0, 0.0), tilt_rad=0.0, team=None):
+        estimate = make_estimate(team or Team(), p_WL=p_WL)
+        turned = quat_exp(np.array([tilt_rad, 0.0, 0.0]))
+        state = replace(estimate.team, v_WL=np.array(v_WL), q_WL=turned)
+        return replace(estimate, team=state)
+
+    return make
+
+
+def watch(judge, looks, memory=None):
+    """Verdicts of a judge who looks every 10 ms."""
+    memory = memory or judge.init()
+    verdicts = []
+    for k, (phase, estimate) in enumerate(looks):
+        memory, verdict = judge.step(memory, k * STEP_US, phase, estimate)
+        verdicts.append(verdict)
+    return verdicts
+
+
+def test_a_journey_is_done_once_the_goal_was_held_long_enough(at):
+    verdicts = watch(judge_of(), [(Phase.HOVER, at())] * 210)
+    assert [v.over for v in verdicts] == [False] * 200 + [True] * 10
+    assert verdicts[200].success
+
+
+@pytest.mark.parametrize(
+    ("p_WL", "v_WL"),
+    [((1.0, 2.0, 3.21), (0.0, 0.0, 0.0)), (GOAL, (0.06, 0.0, 0.09))],
+)
+def test_away_from_the_goal_or_moving_nothing_is_held(at, p_WL, v_WL):
+    verdicts = watch(judge_of(), [(Phase.HOVER, at(p_WL, v_WL))] * 300)
+    assert set(verdicts) == {FLYING_ON}
+
+
+@pytest.mark.parametrize("phase", [Phase.CARRY, Phase.SAFE, Phase.LIFT])
+def test_only_a_hover_is_the_end_of_a_task(at, phase):
+    assert set(watch(judge_of(), [(phase, at())] * 300)) == {FLYING_ON}
+
+
+def test_an_interruption_starts_the_hold_anew(at):
+    looks = [(Phase.HOVER, at())] * 150 + [(Phase.HOVER, at((0.0, 2.0, 3.0)))]
+    verdicts = watch(judge_of(), looks + [(Phase.HOVER, at())] * 210)
+    assert [v.over for v in verdicts].index(True) == 151 + 200
+
+
+def test_a_task_without_a_goal_is_done_after_a_second_of_hover(at):
+    verdicts = watch(judge_of(task=CircleTask()), [(Phase.HOVER, at((9.0, 9.0, 3.0)))] * 120)
+    assert [v.success for v in verdicts].index(True) == 100
+
+
+def test_the_time_limit_ends_the_flight_without_success(at):
+    judge = judge_of(time_limit_s=1.0)
+    verdicts = watch(judge, [(Phase.CARRY, at())] * 101)
+    assert not any(v.over for v in verdicts[:100])
+    assert verdicts[100].over
+    assert not verdicts[100].success
+    assert "time limit reached in phase 'carry'" in verdicts[100].reason
+    safe = watch(judge, [(Phase.SAFE, at())] * 101)[100]
+    assert "safe hover" in safe.reason
+
+
+def test_a_load_that_flew_and_lies_on_the_floor_was_dropped(at):
+    up, down = at((0.0, 0.0, 1.0)), at((0.0, 0.0, 0.045))
+    verdicts = watch(judge_of(), [(Phase.CARRY, up), (Phase.CARRY, down)])
+    assert [v.over for v in verdicts] == [False, True]
+    assert verdicts[1].reason == "the load was dropped"
+    assert not verdicts[1].success
+
+
+def test_a_load_that_waits_on_the_floor_was_not_dropped(at):
+    down = at((0.0, 0.0, 0.04))
+    for phase in (Phase.TAUTEN, Phase.LIFT, Phase.CARRY):
+        assert set(watch(judge_of(), [(phase, down)] * 5)) == {FLYING_ON}
+
+
+@pytest.mark.parametrize(("tilt_deg", "over"), [(77.0, False), (80.0, True), (170.0, True)])
+def test_a_load_that_topples_was_dropped(at, tilt_deg, over):
+    verdicts = watch(judge_of(), [(Phase.CARRY, at((0, 0, 1), tilt_rad=np.deg2rad(tilt_deg)))] * 2)
+    assert verdicts[-1].over == over
+
+
+def test_a_point_mass_is_as_high_as_its_radius(at):
+    team = Team(payload=PointPayload(radius_m=0.3))
+    judge = judge_of(team=team)
+    looks = [(Phase.CARRY, at((0, 0, 1), team=team)), (Phase.CARRY, at((0, 0, 0.31), team=team))]
+    assert watch(judge, looks)[-1].reason == "the load was dropped"
