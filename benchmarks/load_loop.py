@@ -122,7 +122,9 @@ def empty_world(team: Team, size_m: float = 30.0, voxel_m: float = 0.5) -> World
     return static_map(OccupancyGrid(occupied, corner, voxel_m), team_shape(team, 0.1))
 
 
-def mover(i: int, p_WO: Array, v_WO: Array, radius_m: float = 0.25) -> Track:
+def mover(
+    i: int, p_WO: Array, v_WO: Array, radius_m: float = 0.25, growth_mps: float = 0.0
+) -> Track:
     """A ball that moves on at constant velocity from time 0."""
     return Track(
         track_id=i,
@@ -132,7 +134,7 @@ def mover(i: int, p_WO: Array, v_WO: Array, radius_m: float = 0.25) -> Track:
         R_WO=np.eye(3),
         v_WO=np.array(v_WO, dtype=float),
         covariance=np.zeros((6, 6)),
-        growth_mps=0.0,
+        growth_mps=growth_mps,
         tube_base_m=0.02,
     )
 
@@ -156,6 +158,25 @@ def moved(world: WorldMap, tracks: tuple[Track, ...], t_us: int) -> WorldMap:
         replace(t, stamp_us=t_us, p_WO=t.p_WO + 1e-6 * (t_us - t.stamp_us) * t.v_WO) for t in tracks
     )
     return replace(world, stamp_us=t_us, tracks=seen)
+
+
+@dataclass(frozen=True)
+class Orbits:
+    """Six balls on level circles through the volume of an `Eight`, all within 4 m of it."""
+
+    radius_m: float = 0.25
+
+    def tracks(self, t_s: float) -> tuple[Track, ...]:
+        """What is known of them at a time: place and velocity."""
+        rows = []
+        for i in range(6):
+            reach, w = 1.6 + 0.25 * i, (0.25 - 0.02 * i) * (-1) ** i
+            a = 1.1 * i + w * t_s
+            center = np.array([0.5 * np.cos(2.4 * i), 0.5 * np.sin(2.4 * i), 1.0 + 0.55 * i])
+            p = center + reach * np.array([np.cos(a), np.sin(a), 0.0])
+            v = reach * w * np.array([-np.sin(a), np.cos(a), 0.0])
+            rows.append(mover(i, p, v, self.radius_m, growth_mps=0.05))
+        return tuple(rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,8 +208,20 @@ class LoadLoop:
     sqp_iterations: int = 1
     push: tuple[float, float] = (0.0, 0.0)  # RMS of a random force [N] and moment [N m]
 
-    def fly(self, controller, reference, world, tracks=(), seconds=6.0, x0=None, seed=0):  # noqa: ANN001, ANN201
-        """Fly a reference from a state (13,), default its start, solving every `solve_s`."""
+    def fly(
+        self,
+        controller,  # noqa: ANN001
+        reference,  # noqa: ANN001
+        world: WorldMap,
+        tracks: tuple[Track, ...] | Orbits = (),
+        seconds: float = 6.0,
+        x0: Array | None = None,
+        seed: int = 0,
+    ) -> Log:
+        """Fly a reference from a state (13,), default its start, solving every `solve_s`.
+
+        Movers are tracks as seen at time 0, or `Orbits`.
+        """
         team, arrays = self.team, self.team.arrays()
         start = reference.sample(np.zeros(1))
         x = np.zeros(13)
@@ -201,7 +234,11 @@ class LoadLoop:
         wind = np.zeros(6)
         for k in range(round(seconds / self.solve_s)):
             t_us = round(1e6 * k * self.solve_s)
-            view = moved(world, tracks, t_us)
+            if isinstance(tracks, Orbits):
+                now = tuple(replace(t, stamp_us=t_us) for t in tracks.tracks(1e-6 * t_us))
+                view = replace(world, stamp_us=t_us, tracks=now)
+            else:
+                view = moved(world, tracks, t_us)
             request = ControlRequest(
                 stamp_us=t_us,
                 load=x.copy(),

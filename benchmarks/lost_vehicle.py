@@ -73,7 +73,7 @@ def main() -> None:
     """Let every vehicle die once and write the result."""
     args = arguments(__doc__)
     jobs = [
-        Job(name, 0, _dies(i), case=name, measures=(aftermath,))
+        Job(name, 0, _dies(i), case=f"{name}: vehicle {i} dies", measures=(aftermath,))
         for name, count in TEAMS.items()
         for i in ((FILED,) if args.quick else range(count))
     ]
@@ -81,7 +81,7 @@ def main() -> None:
     result = Result(
         name="lost_vehicle",
         claim="a vehicle dies half way and is released: load and others stay up and reach the goal",
-        rows=[row for name in TEAMS for row in rows(chosen(flown, case=name), name)],
+        rows=[row for name in TEAMS for row in rows(chosen(flown, scenario=name), name)],
         flights=flown,
         keys=KEYS,
         notes={},

@@ -3,6 +3,7 @@
 
 import argparse
 import json
+import os
 import platform
 import statistics
 import subprocess
@@ -59,6 +60,7 @@ def publish(result: Result, *, write: bool) -> None:
             "min": min(calibration),
             "max": max(calibration),
         },
+        "load_average": os.getloadavg()[0],
         "machine": platform.platform(),
         "python": sys.version.split()[0],
         "commit": commit(),

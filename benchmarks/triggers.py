@@ -133,8 +133,16 @@ def main() -> None:
 
 def _row(x: dict[str, Any]) -> Row:
     """A line of the table as one row of the README."""
-    found = f"{x['success']}; {x['rmse_mm']} mm; {x['solves_per_s']}"
-    return Row(f"`{x['world']}`, {x['way']}: missions done; RMSE; solves per second", found)
+    clear = x["min_clearance_m"]
+    parts = [
+        x["success"],
+        "no obstacle" if clear is None else f"{clear:.2f} m clear",
+        f"RMSE {x['rmse_mm']} mm",
+        f"swing {x['swing_rms_deg']} deg",
+        f"{x['solves_per_s']} solves/s",
+        f"controller {x['controller_cpu_s']} CPU s",
+    ]
+    return Row(f"`{x['world']}`, {x['way']}", ", ".join(parts))
 
 
 if __name__ == "__main__":

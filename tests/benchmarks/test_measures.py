@@ -142,6 +142,7 @@ def test_the_fall_of_the_dead_vehicle_is_told_from_other_contacts() -> None:
     t = run.t_s
     run.series["vehicle_alive"][t >= 2.0, 1] = 0.0
     run.series["load"][:, 2] = 3.0 - np.where((t > 2.5) & (t < 3.0), 0.1, 0.0)
+    run.series["load"][t < 1.0, 2] = 0.5
     half = np.deg2rad(16.0) / 2.0
     run.series["load"][t > 3.5, 3:7] = [np.cos(half), 0.0, np.sin(half), 0.0]
     run.events.contacts += [

@@ -50,7 +50,7 @@ def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """An empty working folder; what judges and reports is replaced."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command, "RunRecorder", Folder)
-    monkeypatch.setattr(command, "evaluate", lambda folder: {})
+    monkeypatch.setattr(command, "evaluate", lambda folder: {"mission_success": True})
     monkeypatch.setattr(command, "print_table", lambda metrics: None)
     monkeypatch.setattr(command, "write_report", lambda folder, video: None)
     return tmp_path
@@ -65,6 +65,7 @@ def test_the_exit_code_tells_whether_the_mission_was_done(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(command, "fly", told(outcome(success, "because")))
+    monkeypatch.setattr(command, "evaluate", lambda folder: {"mission_success": success})
     assert main(["run", "hover", "--seed", "5", "--out", "mine"]) == code
     assert (written / "mine" / "config.yaml").read_text() == "hover 5"
     assert "because" in capsys.readouterr().out

@@ -11,7 +11,9 @@ from skyhaul.comms.in_process import InProcess
 BUSES = [InProcess(), InProcess(delay_ms=25.0), InProcess(delay_ms=5.0, loss=0.4)]
 LATER_US = 10**9
 
-every_bus = pytest.mark.parametrize("params", BUSES, ids=lambda p: f"{p.kind}-{p.delay_ms}-{p.loss}")
+every_bus = pytest.mark.parametrize(
+    "params", BUSES, ids=lambda p: f"{p.kind}-{p.delay_ms}-{p.loss}"
+)
 
 
 def busy(params, n=4, seed=3):

@@ -11,11 +11,9 @@ from skyhaul.control.api import ControlRequest
 from skyhaul.control.geometric import Geometric
 from skyhaul.control.vehicle import CableTracking
 from skyhaul.model import (
-    PointPayload,
     RigidPayload,
     TautState,
     Team,
-    Vehicle,
     cable_state,
     flat_outputs,
     rotors_to_wrench,
@@ -187,7 +185,7 @@ def perfect_estimate(team, state, rotors, t_us):
     )
 
 
-def still_air(team):
+def without_drag(team):
     """The team without drag, as the taut model has none."""
     return replace(
         team,
@@ -198,18 +196,13 @@ def still_air(team):
 
 @pytest.fixture
 def team():
-    return still_air(Team())
+    return without_drag(Team())
 
 
 @pytest.fixture
 def triangle():
     """Three vehicles with the 0.278 kg load of the circles."""
-    return still_air(Team(count=3, payload=RigidPayload(mass_kg=0.278)))
-
-
-@pytest.fixture
-def point_team():
-    return still_air(Team(payload=PointPayload(), vehicle=Vehicle()))
+    return without_drag(Team(count=3, payload=RigidPayload(mass_kg=0.278)))
 
 
 @pytest.fixture
@@ -220,3 +213,13 @@ def closed_loop():
 @pytest.fixture
 def references():
     return Circle, Hold
+
+
+@pytest.fixture(name="still_air")
+def still_air_fixture():
+    return without_drag
+
+
+@pytest.fixture(name="perfect_estimate")
+def perfect_estimate_fixture():
+    return perfect_estimate

@@ -100,6 +100,32 @@ def test_a_small_direction_error_decays_as_the_gains_say(rng):
     np.testing.assert_allclose(cable_acceleration(u, off, a), expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_rate_error_obeys_the_gains_along_a_moving_goal(seed):
+    """Normal to the cable, d/dt e_w = -K_xi e_xi - K_w e_w; the goal may be far off."""
+    rng = np.random.default_rng(seed)
+    f, t, h = curve(rng), 0.2, 1e-5
+
+    def goal_at(s):
+        d1 = (f(s + 1e-4) - f(s - 1e-4)) / 2e-4
+        d2 = (f(s + 1e-4) - 2.0 * f(s) + f(s - 1e-4)) / 1e-8
+        return cable_goal(tuple(f(s)), tuple(d1), tuple(d2))
+
+    def rate_error(s, xi, w):
+        return w + np.cross(xi, np.cross(xi, goal_at(s).w_W))
+
+    goal, a = goal_at(t), rng.normal(size=3) + 9.81 * UP
+    xi = unit(np.array(goal.dir_W) + 0.4 * rng.normal(size=3))
+    w = np.cross(xi, rng.normal(size=3))
+    u = cable_thrust_vector(tuple(f(t)), goal, (tuple(xi), tuple(w)), tuple(a), (M, L), GAINS)
+    dw, dxi = cable_acceleration(u, xi, a), np.cross(w, xi)
+    rate = rate_error(t + h, xi + h * dxi, w + h * dw) - rate_error(t - h, xi - h * dxi, w - h * dw)
+    rate = rate / (2.0 * h)
+    e_xi, e_w = np.cross(goal.dir_W, xi), rate_error(t, xi, w)
+    across = np.eye(3) - np.outer(xi, xi)
+    np.testing.assert_allclose(across @ rate, -across @ (36.0 * e_xi + 10.0 * e_w), atol=1e-3)
+
+
 def test_a_large_direction_error_is_closed_at_the_given_rate(rng):
     xi, _, a = one_cable(rng)
     goal = cable_goal(tuple(-xi), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

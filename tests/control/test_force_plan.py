@@ -130,7 +130,7 @@ def test_error_is_actual_minus_planned_and_blind_to_the_sign_of_quaternions(rng)
     np.testing.assert_allclose(error_of(flipped, planned), e, atol=1e-12)
 
 
-def test_error_rates_match_finite_differences_near_the_plan(rng):
+def test_error_rates_match_finite_differences(rng):
     """Two rigid motions with constant (angular) accelerations, close to each other."""
     h = 1e-4
     a, dw, a_d, dw_d = rng.normal(size=(4, 3))
@@ -152,7 +152,15 @@ def test_error_rates_match_finite_differences_near_the_plan(rng):
         reference = np.concatenate([moved(planned[:13], a_d, dw_d, dt), a_d, dw_d])
         return error_of(moved(load, a, dw, dt), reference)
 
+    far = random_load(rng)  # the two velocity rows are exact at any distance
+
+    def far_at(dt):
+        reference = np.concatenate([moved(planned[:13], a_d, dw_d, dt), a_d, dw_d])
+        return error_of(moved(far, a, dw, dt), reference)
+
     out = np.empty((2, 12))
+    load_error_rates(far, planned, np.concatenate([a, dw]), far_at(0.0), out)
+    np.testing.assert_allclose(out[0, 6:], (far_at(h) - far_at(-h))[6:] / (2.0 * h), atol=1e-4)
     load_error_rates(load, planned, np.concatenate([a, dw]), at(0.0), out)
     np.testing.assert_allclose(out[0], (at(h) - at(-h)) / (2.0 * h), atol=5e-3)
     np.testing.assert_allclose(out[1, :6], out[0, 6:], atol=1e-12)

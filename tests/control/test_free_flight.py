@@ -57,7 +57,7 @@ def test_hover_takes_the_weight_and_no_moment():
 
 def test_vehicles_reach_their_points_and_headings():
     start = np.array([[0.0, 0, 1], [2, 0, 1], [0, 2, 1], [2, 2, 1]])
-    goal = start + [[1.0, 0, 0], [0, -1, 0.5], [-0.5, 0.5, -0.5], [0, 0, 1]]
+    goal = start + np.array([[1.0, 0, 0], [0, -1, 0.5], [-0.5, 0.5, -0.5], [0, 0, 1]])
     p, R, path = fly(Team(), at_rest(start), goal, 6.0, yaw=2.0)
     np.testing.assert_allclose(p, goal, atol=2e-3)
     heading = R.apply([1.0, 0.0, 0.0])
@@ -68,7 +68,8 @@ def test_vehicles_reach_their_points_and_headings():
 
 def test_a_far_goal_does_not_tip_a_vehicle_over():
     start = np.array([[0.0, 0, 1], [2, 0, 1], [0, 2, 1], [2, 2, 1]])
-    p, R, path = fly(Team(), at_rest(start), start + [20.0, 0.0, 0.0], 2.0)
+    goal = start + np.array([20.0, 0.0, 0.0])
+    _, R, path = fly(Team(), at_rest(start), goal, 2.0)
     assert np.rad2deg(np.arccos(R.apply(UP)[:, 2])).max() < 36.0
     assert np.abs(path[:, :, 2] - 1.0).max() < 0.1
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Routes of vehicles without load: smooth, bounded in speed, the same way back."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -48,7 +50,7 @@ def test_the_route_leads_from_end_to_end_at_rest_within_the_speed(corners, speed
 def test_every_point_of_the_way_lies_on_the_polyline():
     params = StationParams()
     p, _, _ = stacked(run_out(params, route_along(BENT))[1])
-    legs = list(zip(BENT[:-1], BENT[1:], strict=True))
+    legs = list(pairwise(BENT))
 
     def off(q, a, b):
         s = np.clip((q - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)

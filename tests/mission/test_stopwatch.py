@@ -68,9 +68,13 @@ def test_waiting_for_the_machine_is_not_charged(clock):
 
 def test_an_exception_closes_its_stage(clock):
     watch = Stopwatch()
-    with pytest.raises(KeyboardInterrupt), watch.stage("outer"), watch.stage("inner"):
+
+    def interrupted():
         clock.work(1.0)
         raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), watch.stage("outer"), watch.stage("inner"):
+        interrupted()
     clock.work(5.0)
     with watch.stage("after"):
         clock.work(2.0)

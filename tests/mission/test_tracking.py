@@ -74,7 +74,9 @@ def test_agents_whose_plans_differ_for_a_while_fly_as_if_alone(
             same(shared.command(i, estimate, message, 1.0), alone, i)
 
 
-def test_agents_may_pull_with_different_shares_but_observe_one_load(stack, make_estimate, message_to):
+def test_agents_may_pull_with_different_shares_but_observe_one_load(
+    stack, make_estimate, message_to
+):
     tracker, message = stack.vehicle_control, message_to((0.0, 0.0, 1.5))
     shared, memories = SharedTracking(tracker, N), [tracker.init(N) for _ in range(N)]
     yaw = message.heading.sample(np.zeros(1))[0, :, 0]

@@ -101,7 +101,9 @@ def test_only_faults_and_new_references_do_not_wait_for_the_dwell(changes, waits
     assert EVENT.cause(young._replace(age_s=0.1)) is not None
 
 
-@pytest.mark.parametrize("trigger", [PeriodicTrigger(rate_hz=4), PeriodicFeedbackTrigger(rate_hz=4)])
+@pytest.mark.parametrize(
+    "trigger", [PeriodicTrigger(rate_hz=4), PeriodicFeedbackTrigger(rate_hz=4)]
+)
 def test_a_periodic_trigger_looks_at_the_clock_and_at_faults_only(trigger):
     everything = {"failed": True, "reference_changed": True, "error": off(ERR_P, 9.0)}
     loud = CALM._replace(**everything, clearance_m=-1.0)
@@ -142,9 +144,7 @@ SOMETHING = {
     "voxels": replace(NOTHING, changed_min=np.zeros(3), changed_max=np.ones(3)),
     "died": replace(NOTHING, died=(1,)),
 }
-RULES = ReplanTriggers(
-    dwell_s=0.3, urgent_s=1.5, retry_s=0.5, better_period_s=1.5, tracking_m=0.3
-)
+RULES = ReplanTriggers(dwell_s=0.3, urgent_s=1.5, retry_s=0.5, better_period_s=1.5, tracking_m=0.3)
 QUIET = ReplanView(
     stamp_us=10_000_000,
     last_replan_us=9_000_000,

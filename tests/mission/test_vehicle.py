@@ -98,7 +98,9 @@ def test_a_faulty_vehicle_lets_go_then_flies_clear_of_the_team(ensemble):
 
 def test_a_heartbeat_tells_what_the_vehicle_knows(ensemble):
     agent = agent_of(ensemble)
-    estimate = ensemble.estimate(0, tension=[0.1, 0.7, 0.2, 0.3], attached=[True, False, True, True])
+    estimate = ensemble.estimate(
+        0, tension=[0.1, 0.7, 0.2, 0.3], attached=[True, False, True, True]
+    )
     status = agent.report(0, estimate)
     assert (status.vehicle, status.stamp_us) == (1, 0)
     assert status.tension == 0.7

@@ -13,6 +13,7 @@ from skyhaul.planning.reference import (
     TiltBlend,
     continuation,
     remaining_time,
+    restart_reference,
     resting_reference,
     stop_reference,
     with_tilt,
@@ -143,6 +144,17 @@ def test_a_stop_from_cruise_takes_the_way_the_design_says():
     stop = stop_reference(r, 3_000_000, LIMITS)
     way = stop.control[-1, 0] - r.sample(np.array([3_000_000])).p_WD[0, 0, 0]
     assert way == pytest.approx(1.5 * 3 * 0.15 + 1.5**2 / 6.0, abs=0.02)
+
+
+def test_a_restart_begins_at_the_measured_state_and_comes_to_rest():
+    p, v = np.array([1.0, 2.0, 3.0]), np.array([1.0, -0.5, 0.2])
+    r = restart_reference(p, v, 0.4, 5_000_000, LIMITS)
+    d = r.derivatives(5_000_000)
+    np.testing.assert_allclose(d[0], [1.0, 2.0, 3.0, 0.4], atol=1e-12)
+    np.testing.assert_allclose(d[1], [1.0, -0.5, 0.2, 0.0], atol=1e-12)
+    np.testing.assert_allclose(d[2:], 0.0, atol=1e-6)
+    assert r.max_acceleration_mps2() <= LIMITS.a_brake_mps2
+    np.testing.assert_allclose(r.derivatives(r.end_us)[1:5], 0.0, atol=1e-9)
 
 
 def test_remaining_time_counts_down_to_zero():

@@ -143,7 +143,7 @@ IN, OUT = np.array([0.2, 3.0, 1.0]), np.array([5.8, 3.0, 1.0])
 def test_a_mover_that_crosses_the_only_corridor_is_waited_for():
     """It passes the near mouth of the corridor while the team would enter."""
     free = PLANNER.plan(world(CORRIDOR), start(IN), 0, OUT, LIMITS)
-    m = world(CORRIDOR, [mover(9, (1.0, 2.2, 1.1), (0.0, 0.35, 0.0))])
+    m = world(CORRIDOR, [mover(9, (1.2, 2.2, 1.1), (0.0, 0.35, 0.0))])
     result = PLANNER.plan(m, start(IN), 0, OUT, LIMITS)
     assert result.status is ReferenceStatus.OK
     assert result.reaches_goal

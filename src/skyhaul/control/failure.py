@@ -88,7 +88,8 @@ def equilibrium_after_loss(
     """
     limits = limits or LossLimits()
     active = np.array(active, dtype=bool)
-    best = _balance(team, active, hover_attitude(team, active), limits)
+    level = hover_attitude(team, active) if active.any() else np.eye(3)
+    best = _balance(team, active, level, limits)
     if best.survivable or not _holds_attitude(team, active):
         return best
     tilts = np.deg2rad(np.arange(0.0, limits.tilt_max_deg + 1e-9, limits.tilt_step_deg))
@@ -178,10 +179,9 @@ def _balance(team: Team, active: Mask, R_WL: Array, limits: LossLimits) -> Equil
         weight=wrench_weights(limits.allocation, team.hook_ring_m),
         tolerance=limits.allocation.tolerance_n,
     )
-    force = formation_forces(team, weight, active) @ R_WL.T
     if not active.any():
-        return _equilibrium(team, lim, R_WL, force, formation=True, kept=False)
-    force = np.ascontiguousarray(force)
+        return _equilibrium(team, lim, R_WL, np.zeros((n, 3)), formation=True, kept=False)
+    force = np.ascontiguousarray(formation_forces(team, weight, active) @ R_WL.T)
     steps, kept = distribute(force, lim, limits.allocation.max_cuts, np.empty(6))
     return _equilibrium(team, lim, R_WL, force, formation=steps == 0, kept=kept)
 

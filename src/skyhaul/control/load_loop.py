@@ -119,7 +119,8 @@ def wanted_forces(
     tilt = _add_feedback(team, loop, q, gain, e, out.force[0])
     _add_disturbance(team, loop, x, out)
     out.force[0] *= scale
-    steps = _limit(team, loop, x, plan, planned, out)
+    weight = loop.weight if scale == 1.0 else np.full(6, 1e-9)  # the floor gives the rest
+    steps = _limit(team, loop, x, (plan.active, planned, weight), out)
     _boost(team, loop, x, plan, (scale, tilt), out)
     _model(team, loop, x, plan, scale, out)
     load_error_rates(x[0], planned, out.motion, e, rates)
@@ -196,9 +197,13 @@ def _add_disturbance(team: TeamArrays, loop: LoadLoop, x: Array, out: Wanted) ->
 
 @njit
 def _limit(
-    team: TeamArrays, loop: LoadLoop, x: Array, plan: PlanArrays, planned: Array, out: Wanted
+    team: TeamArrays, loop: LoadLoop, x: Array, now: tuple[Array, Array, Array], out: Wanted
 ) -> int:
-    """Keep the limits on the cable forces, see `allocation.distribute`."""
+    """Keep the limits on the cable forces, see `allocation.distribute`.
+
+    `now` is which cables carry, the planned motion (19,) and the weights of the wrench (6,).
+    """
+    active, planned, weight = now
     n = team.m_B.shape[0]
     q = x[0, 3:7]
     axis, arm, offset = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
@@ -213,11 +218,11 @@ def _limit(
         offset,
         team.thrust_max,
         team.length,
-        plan.active,
+        active,
         team.tension_min,
         loop.cone_tan,
         loop.separation,
-        loop.weight,
+        weight,
         loop.tolerance,
     )
     return distribute(out.force[0], limits, loop.max_cuts, out.slack).steps

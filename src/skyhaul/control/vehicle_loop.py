@@ -136,7 +136,7 @@ def _thrust_vector(
     w_D, dw_D = capped(goal.w_W, loop.turn[0]), capped(goal.dw_W, loop.turn[1])
     goal = CableGoal(goal.dir_W, w_D, dw_D)
     taut = tautness(team, load, x, i)
-    hook = _hook_accel(team, x, wanted.motion, i)
+    hook = hook_accel(team, x, wanted.motion, i)
     if x[1 + i, 20] < team.length[i] - 20.0 * load.slack:
         u = _keep_station(team, loop, x, goal, hook, i)
     else:
@@ -165,13 +165,17 @@ def _observe(
 
 
 @njit
-def _hook_accel(team: TeamArrays, x: Array, motion: Array, i: int) -> Vec3Out:
-    """Acceleration of hook i plus g e_3, W axes [m/s^2]: dv + g e_3 + R (dw x r + w x (w x r))."""
+def hook_accel(team: TeamArrays, x: Array, motion: Array, i: int) -> Vec3Out:
+    """Acceleration of hook i plus g e_3, W axes [m/s^2]: dv + g e_3 + R (dw x r + w x (w x r)).
+
+    At least g / 2 upwards, so that no vehicle dives after a load that falls.
+    """
     w = (x[0, 10], x[0, 11], x[0, 12])
     r = row(team.p_LA, i)
     turn = add(cross((motion[3], motion[4], motion[5]), r), cross(w, cross(w, r)))
     turn = quat_rotate(x[0, 3:7], turn)
-    return turn[0] + motion[0], turn[1] + motion[1], turn[2] + motion[2] + team.g
+    up = max(turn[2] + motion[2] + team.g, 0.5 * team.g)
+    return turn[0] + motion[0], turn[1] + motion[1], up
 
 
 @njit

@@ -82,7 +82,7 @@ def update_field(
     _layer_pass(squared, box, source)
     blocked = _column_pass(squared, field, box, source, size, limit, voxel_m, low, truncation_m)
     if np.all(blocked[0] < blocked[1]):
-        _depth_pass(field, box, blocked, math.ceil(DEPTH_M / voxel_m), voxel_m, low)
+        _depth_pass(field, blocked, math.ceil(DEPTH_M / voxel_m), voxel_m, low)
 
 
 @njit
@@ -263,13 +263,11 @@ def _include(cells: IntArray, i: int, j: int, k: int) -> None:
 
 
 @njit
-def _depth_pass(
-    field: FieldArray, box: IntArray, blocked: IntArray, cap: int, voxel: float, low: float
-) -> None:
+def _depth_pass(field: FieldArray, blocked: IntArray, cap: int, voxel: float, low: float) -> None:
     """Depth of blocked voxels: the distance to the nearest free centre, `cap` voxels at most.
 
-    Blocked inside the box is what the pass before stored as -low; outside the box, what lies a
-    voxel deeper than that.
+    Blocked are the voxels that the pass before stored as -low and, around the range that is
+    computed anew, those that lie deeper.
     """
     n0, n1, n2 = field.shape
     i0, j0, k0 = (
@@ -279,16 +277,10 @@ def _depth_pass(
     )
     i1, j1 = min(blocked[1, 0] + cap, n0), min(blocked[1, 1] + cap, n1)
     k1 = min(blocked[1, 2] + cap, n2)
-    g = np.zeros((i1 - i0, j1 - j0, k1 - k0))
+    g, edge = np.zeros((i1 - i0, j1 - j0, k1 - k0)), -low + 1e-6 * voxel
     for i in range(i0, i1):
         for j in range(j0, j1):
             for k in range(k0, k1):
-                inside = (
-                    box[0, 0] <= i < box[1, 0]
-                    and box[0, 1] <= j < box[1, 1]
-                    and box[0, 2] <= k < box[1, 2]
-                )
-                edge = -low + 1e-6 * voxel if inside else -low - 0.5 * voxel
                 if field[i, j, k] <= edge:
                     g[i - i0, j - j0, k - k0] = FAR
     _sweep(g)

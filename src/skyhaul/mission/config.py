@@ -2,11 +2,11 @@
 """The whole configuration of a flight: the scenario and the stack that flies it."""
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from skyhaul.comms.in_process import InProcess
 from skyhaul.control.config import ControlConfig
 from skyhaul.mapping.mapper import Mapping
+from skyhaul.mission.latency import Latency
 from skyhaul.mission.station import StationParams
 from skyhaul.mission.triggers import EventTrigger, ReplanTriggers, SolveTrigger
 from skyhaul.params import Params
@@ -47,7 +47,7 @@ class MissionConfig(Params):
     """When to plan anew."""
     trigger: SolveTrigger = field(default_factory=EventTrigger)
     """When to solve anew."""
-    latency: Literal["none", "measured"] = "none"
+    latency: Latency = "none"
     """Whether replans and solves take effect at once, or after the wall time they took."""
     recovery_s: float = 2.0
     """After a vehicle is lost the load is flown by the geometric law for this long [s]."""

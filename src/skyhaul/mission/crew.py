@@ -35,7 +35,7 @@ class Crew:
     def tell_leading_vehicle(self) -> None:
         """The leader's own vehicle hears its orders and plans without the bus."""
         agent = self.agents[self.leader.index]
-        agent.order, agent.plan = self.leader.order, self.leader.message
+        agent.order, agent.plan = self.leader.order, self.leader.forces.message
 
     def _elected(self) -> int:
         """Lowest vehicle that does not know itself to be faulty; the old leader if all are."""

@@ -7,25 +7,19 @@ import numpy as np
 
 from skyhaul.comms.api import Bus
 from skyhaul.comms.messages import ORDER, PLAN, Order, PlanMessage, Status
-from skyhaul.control.api import ControlRequest, ForcePlan, SolveStatus
+from skyhaul.control.api import ForcePlan
 from skyhaul.control.failure import equilibrium_after_loss
-from skyhaul.control.force_plan import (
-    PLANNED_NX,
-    PlanArrays,
-    load_error,
-    plan_arrays,
-    sample_motion,
-    sample_plan,
-)
-from skyhaul.geometry.quaternion import quat_exp, quat_mul, quat_to_R
+from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.mapping.api import MapChange, WorldMap
-from skyhaul.mission.api import Phase, Recorder, Replan, Solve, Trigger
-from skyhaul.mission.phases import LeaderView, next_phase, spool_plan, without_feedback
+from skyhaul.mission.api import Phase, Recorder, Replan, Trigger
+from skyhaul.mission.forces import ForcePlanning
+from skyhaul.mission.latency import Pending
+from skyhaul.mission.phases import LeaderView, next_phase, spool_plan
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.stopwatch import Stopwatch
-from skyhaul.mission.triggers import ReplanView, SolveView, predicted_clearance, replan_cause
+from skyhaul.mission.triggers import ReplanView, predicted_clearance, replan_cause
 from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
-from skyhaul.planning.api import ReferencePlan, ReferenceStatus
+from skyhaul.planning.api import Reference, ReferencePlan, ReferenceStatus
 from skyhaul.planning.heading import HeadingPlan, fan_out
 from skyhaul.planning.reference import (
     SplineReference,
@@ -35,15 +29,6 @@ from skyhaul.planning.reference import (
 )
 from skyhaul.planning.tasks import lift_reference, task_reference
 from skyhaul.types import (
-    ERR_P,
-    ERR_R,
-    ERR_V,
-    ERR_W,
-    LOAD_NE,
-    LOAD_P,
-    LOAD_Q,
-    LOAD_V,
-    LOAD_W,
     US_PER_S,
     Array,
     Mask,
@@ -65,26 +50,23 @@ class Leader:
             stack.start.kind, Phase.TAUTEN
         )
         self.order: Order | None = None
-        self.message: PlanMessage | None = None
-        self.reference: SplineReference | None = None
+        self.reference: Reference | None = None
         self._stack, self._bus, self._recorder, self._watch = stack, bus, recorder, watch
+        self.forces = ForcePlanning(stack, recorder)
+        self._pending: Pending[ReferencePlan] = Pending(stack.mission.latency)
         self.active: Mask = np.ones(stack.team.count, np.bool_)
         self._map: WorldMap | None = None
         self._change: MapChange | None = None
         self._mapper_memory = stack.mapper.init()
-        self._controller_memory = stack.controller.init()
         self._statuses: dict[int, Status] = {}
         self._task_reference: SplineReference | None = None
         self._reaches_goal = False
         self._enough_left = True
-        self._plan_arrays: PlanArrays | None = None
         self._heading: HeadingPlan | None = None
         self._last_replan_us = -US_PER_S
         self._phase_since_us = -1
         self._clearance_m = np.inf
-        self._recover_until_us = 0
         self._floor_z = 0.0
-        self._reference_changed = self._fault = self._failed = False
 
     def hear(self, t_us: TimeUs, statuses: list[Status], faulty: frozenset[int]) -> None:
         """Heartbeats since the last cycle, and who can carry no longer."""
@@ -93,25 +75,29 @@ class Leader:
         active = np.array([i not in faulty for i in range(self._stack.team.count)])
         if np.array_equal(active, self.active):
             return
-        self.active, self._fault = active, True
+        self.active = active
         left = ", ".join(str(i) for i in np.flatnonzero(active))
         self._recorder.trigger(Trigger(t_us, "fault", f"vehicles {left} carry on"))
-        self._recover_until_us = t_us + round(self._stack.mission.recovery_s * US_PER_S)
-        self._controller_memory = self._stack.controller.init()
+        self.forces.fault(t_us)
         if not active.any():
             self._enough_left = False
             return
         rest = equilibrium_after_loss(self._stack.team, active)
         self._enough_left = rest.survivable
         if self.reference is not None and rest.survivable and self._stack.arrays.rigid:
-            tilted = with_tilt(self.reference, t_us, rest.R_WL, _TILT_US)
-            self._adopt(t_us, tilted, self._reaches_goal)
+            self._tilt(t_us, self.reference, rest.R_WL)
+
+    def _tilt(self, t_us: TimeUs, reference: Reference, R_WL: Array) -> None:
+        """Turn the load on its way; a reference of a kind that cannot turn it comes to rest."""
+        reaches_goal = self._reaches_goal
+        if not isinstance(reference, SplineReference):
+            reference, reaches_goal = stop_reference(reference, t_us, self._stack.limits), False
+        self._adopt(t_us, with_tilt(reference, t_us, R_WL, _TILT_US), reaches_goal)
 
     def take_over(self, index: int, message: PlanMessage | None) -> None:
         """Lead from another vehicle; flies on along the plan that this one received last."""
         self.index = index
-        self.message = message
-        self._plan_arrays = None if message is None else plan_arrays(message.plan)
+        self.forces.follow(message)
 
     # Step 1: M(t) = SLAM(p(t), o(t)) ------------------------------------------------------------
     def update_map(self, estimate: TeamEstimate, obstacles: ObstacleEstimate) -> None:
@@ -201,6 +187,8 @@ class Leader:
         """Why the reference must be planned anew, or None."""
         if self._map is None or self._change is None or self.reference is None:
             return None
+        if self._pending.busy:
+            return None
         params = self._stack.mission.replan
         self._clearance_m, blocked_in_s = predicted_clearance(
             self._map, self.reference, t_us, params
@@ -236,8 +224,7 @@ class Leader:
         accepted = result.status is ReferenceStatus.OK and self._is_better(result, cause, t_us)
         self._recorder.replan(Replan(t_us, cause, result, accepted, wall_ms))
         if accepted and result.reference is not self.reference:
-            assert isinstance(result.reference, SplineReference)
-            self._adopt(t_us, result.reference, result.reaches_goal)
+            self._pending.put(t_us, wall_ms, result)
             self._recorder.trigger(Trigger(t_us, cause, f"path {result.path.status.value}"))
 
     def _is_better(self, result: ReferencePlan, cause: str, t_us: TimeUs) -> bool:
@@ -252,123 +239,54 @@ class Leader:
         left = max(0, self.reference.end_us - t_us)
         return result.reaches_goal and result.reference.end_us - t_us < share * left
 
-    def _adopt(self, t_us: TimeUs, reference: SplineReference, reaches_goal: bool) -> None:
+    def _adopt(self, t_us: TimeUs, reference: Reference, reaches_goal: bool) -> None:
         self.reference, self._reaches_goal = reference, reaches_goal
-        self._reference_changed = True
+        self._pending.drop()
+        self.forces.new_reference()
         n = self._stack.team.count
         before = 0.0 if self._heading is None else self._heading
         self._heading = fan_out(reference, n, t_us, before, self._stack.heading)
         self._recorder.reference(t_us, reference)
 
-    # Step 5: payload NMPC, when triggered ------------------------------------------------------
+    # Step 5: payload NMPC, when triggered -------------------------------------------------------
     def solve_event(self, t_us: TimeUs, estimate: TeamEstimate) -> str | None:
         """Why the force plan must be solved anew, or None."""
         spooling = self.phase is Phase.LIFT and (
             t_us - self._phase_since_us < self._stack.mission.spool_s * US_PER_S
         )
-        if self.reference is None or spooling or self.phase in (Phase.FLY_IN, Phase.TAUTEN):
+        on_station = self.phase in (Phase.FLY_IN, Phase.TAUTEN)
+        if self.reference is None or spooling or on_station or not self.active.any():
             return None
-        if not self.active.any():
-            return None
-        if self.message is None:
-            return "start"
-        plan = self.message.plan
-        view = SolveView(
-            age_s=(t_us - plan.stamp_us) / US_PER_S,
-            plan_s=float(plan.node_s[-1]),
-            error=self._plan_error(t_us, estimate.team.load),
-            clearance_m=self._clearance_m,
-            reference_changed=self._reference_changed,
-            fault=self._fault,
-            failed=self._failed,
-        )
-        return self._stack.mission.trigger.cause(view)
+        return self.forces.due(t_us, estimate, self._clearance_m)
 
-    def _plan_error(self, t_us: TimeUs, load: Array) -> Array:
-        """Measured load against the planned one, (12,)."""
-        planned, error = np.empty(PLANNED_NX), np.empty(LOAD_NE)
-        assert self._plan_arrays is not None
-        assert self.message is not None
-        after_s = (t_us - self.message.plan.stamp_us) / US_PER_S
-        sample_motion(self._plan_arrays, after_s, planned)
-        load_error(load, planned, error)
-        return error
-
-    def solve(self, t_us: TimeUs, estimate: TeamEstimate, cause: str) -> None:
-        """Solve for new cable forces and send the plan to everybody."""
+    def solve(self, estimate: TeamEstimate, cause: str) -> None:
+        """Solve for new cable forces along the reference."""
         assert self.reference is not None
         assert self._map is not None
-        trigger = self._stack.mission.trigger
-        load, force, dforce = self._initial(t_us, estimate)
-        request = ControlRequest(
-            stamp_us=t_us,
-            load=load,
-            force_W=force,
-            dforce_W=dforce,
-            active=self.active,
-            reference=self.reference,
-            world_map=self._map,
-            sqp_iterations=trigger.sqp_iterations,
-        )
         with self._watch.stage("nmpc"):
-            if t_us < self._recover_until_us:
-                _, solution = self._stack.backup.solve(None, request)
-            else:
-                self._controller_memory, solution = self._stack.controller.solve(
-                    self._controller_memory, request
-                )
-        self._reference_changed = self._fault = False
-        self._failed = solution.status is SolveStatus.FAILED
-        self._recorder.trigger(Trigger(t_us, cause, solution.status.value))
-        self._recorder.solve(Solve(t_us, cause, solution))
-        plan = solution.plan if trigger.feedback else without_feedback(solution.plan)
-        self._publish(t_us, plan)
+            self.forces.solve(cause, estimate, self.reference, self._map, self.active)
 
-    def _initial(self, t_us: TimeUs, estimate: TeamEstimate) -> tuple[Array, Array, Array]:
-        """Load state, cable forces and their rates from which a solve starts.
-
-        The new plan goes on from the old one, and the feedback keeps the load in a tube around
-        both; where the load has left the tube, the plan is moved after it, to the tube's edge
-        (tube MPC; Mayne, Seron, Rakovic, Automatica 2005). Without feedback every solve starts
-        from what is measured. The commanded forces go on without a jump either way.
-        """
-        cables = estimate.cables
-        if self.message is None:
-            pull = -cables.tension[:, None] * cables.dir_W
-            return estimate.team.load, pull, np.zeros_like(pull)
-        now = sample_plan(self.message.plan, t_us)
-        error = self._plan_error(t_us, estimate.team.load)
-        trigger = self._stack.mission.trigger
-        outside = 1.0
-        if trigger.feedback:
-            outside = 1.0 - 1.0 / max(1.0, trigger.tube.measure(error))
-        if outside == 0.0:
-            return now.load, now.force_W, now.dforce_W
-        load = move_load(now.load, outside * error)
-        return load, now.force_W + now.gain @ (outside * error), now.dforce_W
+    def deliver(self, t_us: TimeUs) -> None:
+        """Put what has been computed in force: the reference here, the plan by everybody."""
+        planned = self._pending.take(t_us)
+        if planned is not None:
+            assert planned.reference is not None
+            self._adopt(t_us, planned.reference, planned.reaches_goal)
+        plan = self.forces.take(t_us)
+        if plan is not None:
+            self._publish(t_us, plan)
 
     def _publish(self, t_us: TimeUs, plan: ForcePlan) -> None:
         assert self.reference is not None
         assert self._heading is not None
-        self.message = PlanMessage(t_us, plan, self.reference, self._heading)
-        self._plan_arrays = plan_arrays(plan)
-        self._bus.publish(PLAN, self.index, t_us, self.message)
+        message = PlanMessage(t_us, plan, self.reference, self._heading)
+        self.forces.follow(message)
+        self._bus.publish(PLAN, self.index, t_us, message)
 
 
 def _differs(a: Order, b: Order) -> bool:
     same = a.phase == b.phase and a.retreat == b.retreat
     return not (same and np.array_equal(a.active, b.active))
-
-
-def move_load(load: Array, error: Array) -> Array:
-    """The load state that differs by an error, (12,), from another, (13,)."""
-    moved = load.copy()
-    moved[LOAD_P] += error[ERR_P]
-    turn = quat_exp(error[ERR_R])
-    moved[LOAD_Q] = quat_mul(load[LOAD_Q], turn)
-    moved[LOAD_V] += error[ERR_V]
-    moved[LOAD_W] = error[ERR_W] + quat_to_R(turn).T @ load[LOAD_W]
-    return moved
 
 
 def _yaw(load: Array) -> float:

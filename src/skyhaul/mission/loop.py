@@ -38,11 +38,13 @@ def cycle(
         if event is not None:
             # Step 2: waypoints by A*, path by spline interpolation
             leader.replan(t_us, event)
+            leader.deliver(t_us)
 
     # Step 5: payload NMPC
     cause = leader.solve_event(t_us, estimate)
     if cause is not None:
-        leader.solve(t_us, estimate, cause)
+        leader.solve(estimate, cause)
+    leader.deliver(t_us)
     crew.tell_leading_vehicle()
 
     # Step 6: quadrotor control

@@ -57,8 +57,9 @@ class TickMaker:
         )
 
     def _sample(self, t_us: int, leader: Leader) -> None:
-        if leader.message is not None:
-            planned = sample_plan(leader.message.plan, t_us)
+        message = leader.forces.message
+        if message is not None:
+            planned = sample_plan(message.plan, t_us)
             self._force, self._thrust = planned.force_W, planned.thrust
         if leader.reference is not None and leader.phase in AIRBORNE:
             sample = leader.reference.sample(np.array([t_us]))

@@ -204,6 +204,17 @@ def stop_reference(
     return SplineReference(start_us, dt_us, control, tilts_of(current))
 
 
+def restart_reference(
+    p_WL: Array, v_WL: Array, yaw_rad: float, t_us: TimeUs, limits: Limits, dt_us: TimeUs = 200_000
+) -> SplineReference:
+    """From a measured place and velocity to rest: what to plan on from when the load strayed."""
+    d = np.zeros((7, 4))
+    d[0], d[1, :3] = np.append(p_WL, yaw_rad), v_WL
+    first = control_from_derivatives(d, dt_us / US_PER_S)
+    even = np.concatenate([first, first[-1] + np.arange(1, 9)[:, None] * (first[-1] - first[-2])])
+    return stop_reference(SplineReference(t_us, dt_us, even), t_us, limits, dt_us)
+
+
 def remaining_time(reference: Reference, t_us: TimeUs) -> float:
     """How long a reference still takes [s]."""
     return max(0.0, (reference.end_us - t_us) / US_PER_S)

@@ -169,16 +169,14 @@ def search(
     that share.
     """
     n1, n2 = layer.clearance.shape[1], layer.clearance.shape[2]
-    keys, cells, count = np.empty(4096), np.empty(4096, np.int64), 0
-    scratch = np.empty(3)
+    keys, cells, scratch = np.empty(4096), np.empty(4096, np.int64), np.empty(3)
     field, mark_of, cost_of = layer.clearance.ravel(), w.mark, w.cost
     room = _room_cells(m, layer, rules.clearance)
     shape = layer.clearance.shape
     goal_index = (goal[0] * n1 + goal[1]) * n2 + goal[2]
     first = (start[0] * n1 + start[1]) * n2 + start[2]
     w.mark[first] |= _FREE
-    count = _push(keys, cells, count, 0.0, first)
-    expanded = 0
+    count, expanded = _push(keys, cells, 0, 0.0, first), 0
     while count > 0:
         cell, count = _pop(keys, cells, count)
         if cell == goal_index:

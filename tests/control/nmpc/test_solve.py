@@ -134,7 +134,7 @@ def test_limits_hold_in_the_plan(limits, loop):
     tension = np.linalg.norm(plan.force_W, axis=2)
     assert tension.min() > 0.95 * team.tension_min_n
     assert np.linalg.norm(plan.load[:, 7:10], axis=1).max() < 1.3 * limits.v_max_mps + 0.02
-    assert plan.thrust[3:-1].max() < 3.45
+    assert plan.thrust[3:-1].max() < 1.05 * 3.45
 
 
 def test_later_iterations_end_in_a_point_that_stays(kind, limits, loop):

@@ -82,7 +82,7 @@ class FeedbackParams(Params):
 class NmpcParams(Params):
     """What both kinds share."""
 
-    step_s: tuple[float, ...] = (0.05,) * 5 + (0.1,) * 6 + (0.15,) * 8
+    step_s: tuple[float, ...] = (0.05,) * 4 + (0.1,) * 5 + (0.15,) * 9
     """Intervals of the horizon, the finer ones first [s]."""
     weights: Weights = field(default_factory=Weights)
     """Cost."""

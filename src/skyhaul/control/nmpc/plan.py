@@ -104,7 +104,8 @@ def _node_values(
             if k == 0:
                 slope[c] = du_now[c] * im.moves[c]
             elif k == last:
-                slope[c] = it.u[last - 1, c]
+                share = s.dt[k - 1] / (s.dt[k - 1] + s.dt[k - 2]) if k > 1 else 0.0
+                slope[c] = it.u[k - 1, c] + share * (it.u[k - 1, c] - it.u[k - 2, c])
             else:
                 h0, h1 = s.dt[k - 1], s.dt[k]
                 slope[c] = (h1 * it.u[k - 1, c] + h0 * it.u[k, c]) / (h0 + h1)

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Step 5 of Algorithm 1: the force plan, when to solve it anew, and from where."""
+
+import numpy as np
+
+from skyhaul.comms.messages import PlanMessage
+from skyhaul.control.api import ControlRequest, ForcePlan, Solution, SolveStatus
+from skyhaul.control.force_plan import (
+    PLANNED_NX,
+    PlanArrays,
+    load_error,
+    plan_arrays,
+    sample_motion,
+    sample_plan,
+)
+from skyhaul.geometry.quaternion import quat_exp, quat_mul, quat_to_R
+from skyhaul.mapping.api import WorldMap
+from skyhaul.mission.api import Recorder, Solve, Trigger
+from skyhaul.mission.latency import Pending
+from skyhaul.mission.phases import without_feedback
+from skyhaul.mission.setup import Stack
+from skyhaul.mission.triggers import SolveView
+from skyhaul.perception.api import TeamEstimate
+from skyhaul.planning.api import Reference
+from skyhaul.types import (
+    ERR_P,
+    ERR_R,
+    ERR_V,
+    ERR_W,
+    LOAD_NE,
+    LOAD_P,
+    LOAD_Q,
+    LOAD_V,
+    LOAD_W,
+    US_PER_S,
+    Array,
+    Mask,
+    TimeUs,
+)
+
+
+class ForcePlanning:
+    """Keeps the force plan in force and solves for the next one."""
+
+    def __init__(self, stack: Stack, recorder: Recorder) -> None:
+        self.message: PlanMessage | None = None
+        self._stack, self._recorder = stack, recorder
+        self._memory = stack.controller.init()
+        self._arrays: PlanArrays | None = None
+        self._pending: Pending[ForcePlan] = Pending(stack.mission.latency)
+        self._recover_until_us = 0
+        self._reference_changed = self._fault = self._failed = False
+
+    def new_reference(self) -> None:
+        """The reference has changed: solve soon."""
+        self._reference_changed = True
+
+    def fault(self, t_us: TimeUs) -> None:
+        """Other cables carry from now on: start afresh, by the geometric law for a while."""
+        self._fault = True
+        self._memory = self._stack.controller.init()
+        self._recover_until_us = t_us + round(self._stack.mission.recovery_s * US_PER_S)
+
+    def follow(self, message: PlanMessage | None) -> None:
+        """Put a plan in force."""
+        self.message = message
+        self._arrays = None if message is None else plan_arrays(message.plan)
+
+    def due(self, t_us: TimeUs, estimate: TeamEstimate, clearance_m: float) -> str | None:
+        """Why the plan must be solved anew, or None; `clearance_m` is the least one ahead."""
+        if self._pending.busy:
+            return None
+        if self.message is None:
+            return "start"
+        plan = self.message.plan
+        view = SolveView(
+            age_s=(t_us - plan.stamp_us) / US_PER_S,
+            plan_s=float(plan.node_s[-1]),
+            error=self._error(t_us, estimate.team.load),
+            clearance_m=clearance_m,
+            reference_changed=self._reference_changed,
+            fault=self._fault,
+            failed=self._failed,
+        )
+        return self._stack.mission.trigger.cause(view)
+
+    def solve(
+        self,
+        cause: str,
+        estimate: TeamEstimate,
+        reference: Reference,
+        world_map: WorldMap,
+        active: Mask,
+    ) -> None:
+        """Solve for new cable forces along a reference; `take` gives the plan when it is due."""
+        trigger, t_us = self._stack.mission.trigger, estimate.stamp_us
+        load, force, dforce = self._initial(estimate)
+        request = ControlRequest(
+            stamp_us=t_us,
+            load=load,
+            force_W=force,
+            dforce_W=dforce,
+            active=active,
+            reference=reference,
+            world_map=world_map,
+            sqp_iterations=trigger.sqp_iterations,
+        )
+        solution = self._solve(request)
+        self._reference_changed = self._fault = False
+        self._failed = solution.status is SolveStatus.FAILED
+        self._recorder.trigger(Trigger(t_us, cause, solution.status.value))
+        self._recorder.solve(Solve(t_us, cause, solution))
+        plan = solution.plan if trigger.feedback else without_feedback(solution.plan)
+        self._pending.put(t_us, solution.wall_ms, plan)
+
+    def take(self, t_us: TimeUs) -> ForcePlan | None:
+        """The plan that takes effect now, if one does."""
+        return self._pending.take(t_us)
+
+    def _solve(self, request: ControlRequest) -> Solution:
+        if request.stamp_us < self._recover_until_us:
+            _, solution = self._stack.backup.solve(None, request)
+        else:
+            self._memory, solution = self._stack.controller.solve(self._memory, request)
+        return solution
+
+    def _error(self, t_us: TimeUs, load: Array) -> Array:
+        """Measured load against the planned one, (12,)."""
+        planned, error = np.empty(PLANNED_NX), np.empty(LOAD_NE)
+        assert self._arrays is not None
+        assert self.message is not None
+        sample_motion(self._arrays, (t_us - self.message.plan.stamp_us) / US_PER_S, planned)
+        load_error(load, planned, error)
+        return error
+
+    def _initial(self, estimate: TeamEstimate) -> tuple[Array, Array, Array]:
+        """Load state, cable forces and their rates from which a solve starts.
+
+        The new plan goes on from the old one, and the feedback keeps the load in a tube around
+        both; where the load has left the tube, the plan is moved after it, to the tube's edge.
+        Without feedback every solve starts from what is measured. The commanded forces go on
+        without a jump either way.
+
+        Source: Mayne, Seron, Rakovic, "Robust model predictive control of constrained linear
+            systems with bounded disturbances", Automatica 41 (2005).
+        """
+        cables, trigger = estimate.cables, self._stack.mission.trigger
+        if self.message is None:
+            pull = -cables.tension[:, None] * cables.dir_W
+            return estimate.team.load, pull, np.zeros_like(pull)
+        now = sample_plan(self.message.plan, estimate.stamp_us)
+        error = self._error(estimate.stamp_us, estimate.team.load)
+        outside = 1.0
+        if trigger.feedback:
+            outside -= 1.0 / max(1.0, trigger.tube.measure(error))
+        if outside == 0.0:
+            return now.load, now.force_W, now.dforce_W
+        load = move_load(now.load, outside * error)
+        return load, now.force_W + now.gain @ (outside * error), now.dforce_W
+
+
+def move_load(load: Array, error: Array) -> Array:
+    """The load state that differs by an error, (12,), from another, (13,)."""
+    moved = load.copy()
+    moved[LOAD_P] += error[ERR_P]
+    turn = quat_exp(error[ERR_R])
+    moved[LOAD_Q] = quat_mul(load[LOAD_Q], turn)
+    moved[LOAD_V] += error[ERR_V]
+    moved[LOAD_W] = error[ERR_W] + quat_to_R(turn).T @ load[LOAD_W]
+    return moved
