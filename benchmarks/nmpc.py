@@ -64,7 +64,7 @@ def among_movers(kind: type[Nmpc | WrenchNmpc], n: int, per_event: bool) -> dict
     world, movers = empty_world(team), Orbits()
     loop.fly(controller, Eight(), world, movers, seconds=1.0)
     controller.wall_ms.clear()
-    logs = [loop.fly(controller, Eight(), world, movers, 24.0, seed=s) for s in SEEDS]
+    logs = [loop.fly(controller, Eight(), world, movers, 12.0, seed=s) for s in SEEDS]
     cpu = np.concatenate([log.wall_ms[1:] for log in logs])
     inner = np.concatenate([log.iterations[1:] for log in logs])
     rmse = [log.rmse_m for log in logs]

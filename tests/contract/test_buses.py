@@ -43,6 +43,17 @@ def test_each_sender_is_heard_in_the_order_of_sending(params):
 
 
 @every_bus
+def test_messages_sent_at_one_moment_keep_their_order(params):
+    bus, _ = busy(params)
+    bus.receive(0, LATER_US)
+    for k in range(50):
+        bus.publish("burst", 1 + k % 3, LATER_US, k)
+    heard = [e.payload for e in bus.receive(0, 2 * LATER_US)]
+    assert len(heard) > 10
+    assert heard == sorted(heard)
+
+
+@every_bus
 def test_nothing_arrives_before_it_is_sent(params):
     bus, _ = busy(params)
     for t_us in range(0, 800_000, 7_000):

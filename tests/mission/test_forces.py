@@ -184,13 +184,15 @@ def test_after_a_fault_the_geometric_law_flies_for_a_while(ensemble):
 def test_a_new_leader_measures_its_error_against_the_plan_that_it_received(ensemble):
     forces, estimate = forces_of(ensemble), ensemble.estimate()
     old = solve(forces, ensemble, estimate)
-    load = move_load(estimate.team.load, np.array([0.5, *np.zeros(11)]))
-    solve(forces, ensemble, shifted(estimate, 200_000, load), "tube_exit")
-    forces.follow(old)
-    planned, error = np.empty(19), np.empty(12)
-    sample_motion(plan_arrays(old.plan), 0.3, planned)
-    load_error(estimate.team.load, planned, error)
-    np.testing.assert_array_equal(forces._error(300_000, estimate.team.load), error)
+    elsewhere = replace(old.plan, stamp_us=200_000, load=old.plan.load + 0.3 * np.eye(13)[0])
+    new = replace(old, stamp_us=200_000, plan=elsewhere)
+    for message in (new, old, new):
+        forces.follow(message)
+        planned, error = np.empty(19), np.empty(12)
+        after_s = 1e-6 * (300_000 - message.plan.stamp_us)
+        sample_motion(plan_arrays(message.plan), after_s, planned)
+        load_error(estimate.team.load, planned, error)
+        np.testing.assert_allclose(forces._error(300_000, estimate.team.load), error, atol=1e-12)
 
 
 def test_a_quaternion_and_its_negative_are_the_same_error(ensemble):

@@ -25,9 +25,9 @@ def judge_of(**entries):
 def at(make_estimate):
     """Estimate of a team with its load at a place, with a velocity and a tilt."""
 
-    def make(p_WL=GOAL, v_WL=(0.0, 0.0, 0.0), tilt_rad=0.0, team=None):
+    def make(p_WL=GOAL, v_WL=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0), team=None):
         estimate = make_estimate(team or Team(), p_WL=p_WL)
-        turned = quat_exp(np.array([tilt_rad, 0.0, 0.0]))
+        turned = quat_exp(np.array(turn_rad, dtype=np.float64))
         state = replace(estimate.team, v_WL=np.array(v_WL), q_WL=turned)
         return replace(estimate, team=state)
 
@@ -101,9 +101,15 @@ def test_a_load_that_waits_on_the_floor_was_not_dropped(at):
 
 
 @pytest.mark.parametrize(("tilt_deg", "over"), [(77.0, False), (80.0, True), (170.0, True)])
-def test_a_load_that_topples_was_dropped(at, tilt_deg, over):
-    verdicts = watch(judge_of(), [(Phase.CARRY, at((0, 0, 1), tilt_rad=np.deg2rad(tilt_deg)))] * 2)
-    assert verdicts[-1].over == over
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.6, -0.8, 0.0)])
+def test_a_load_that_topples_was_dropped(at, axis, tilt_deg, over):
+    turned = at((0, 0, 1), turn_rad=np.deg2rad(tilt_deg) * np.array(axis))
+    assert watch(judge_of(), [(Phase.CARRY, turned)] * 2)[-1].over == over
+
+
+def test_a_load_that_turns_about_the_vertical_is_still_upright(at):
+    turned = at((0, 0, 1), turn_rad=(0.0, 0.0, 3.0))
+    assert set(watch(judge_of(), [(Phase.CARRY, turned)] * 2)) == {FLYING_ON}
 
 
 def test_a_point_mass_is_as_high_as_its_radius(at):

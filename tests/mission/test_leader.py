@@ -10,7 +10,9 @@ from skyhaul.geometry.shapes import Sphere
 from skyhaul.mission.api import Phase
 from skyhaul.mission.leader import Leader
 from skyhaul.perception.api import ObstacleEstimate, Track
+from skyhaul.planning.api import Plan, PlanStatus, ReferencePlan, ReferenceStatus
 from skyhaul.planning.cubic import CubicPlanner
+from skyhaul.planning.reference import resting_reference
 from skyhaul.world.scenario import AirStart
 
 PERIOD_US = 20_000
@@ -146,6 +148,44 @@ def test_an_equal_path_is_not_taken_in_place_of_the_one_that_is_flown(journey):
     replan(leader, t_us, "better_path")
     assert [r.accepted for r in e.notes.replans] == [True, False]
     assert leader.reference is before
+
+
+@pytest.mark.parametrize(("share", "taken"), [(0.9, False), (0.8, True)])
+@pytest.mark.parametrize("reaches_goal", [True, False])
+def test_a_quicker_path_is_taken_when_it_saves_enough_and_leads_to_the_goal(
+    journey, share, taken, reaches_goal
+):
+    leader, e = journey
+    replan(leader, 0, "corridor_free")
+    quicker = resting_reference(GOAL, 0.0, round(share * leader.reference.end_us))
+    path = Plan(PlanStatus.FOUND)
+    result = ReferencePlan(ReferenceStatus.OK, path, quicker, reaches_goal=reaches_goal)
+    leader._stack = replace(e.stack, planner=Planner(result))
+    replan(leader, 0, "better_path")
+    assert (leader.reference is quicker) == (taken and reaches_goal)
+
+
+class Planner:
+    """A reference planner with a set answer."""
+
+    def __init__(self, result):
+        self._result = result
+
+    def plan(self, world_map, current, t_us, p_WG, limits):
+        return self._result
+
+
+@pytest.mark.parametrize("status", [ReferenceStatus.NO_PATH, ReferenceStatus.BLOCKED])
+def test_without_a_clear_curve_the_reference_in_force_stays(journey, status):
+    leader, e = journey
+    replan(leader, 0, "corridor_free")
+    before = leader.reference
+    leader._stack = replace(
+        e.stack, planner=Planner(ReferencePlan(status, Plan(PlanStatus.NO_PATH), None))
+    )
+    replan(leader, 500_000, "clearance")
+    assert leader.reference is before
+    assert [r.accepted for r in e.notes.replans] == [True, False]
 
 
 def test_replanning_continues_the_motion(journey):

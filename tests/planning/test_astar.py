@@ -107,13 +107,14 @@ def test_the_band_prefers_room_to_a_shorter_squeeze():
     assert through[0] < 1.6 < through[1]
 
 
-def test_shortcuts_never_cost_clearance_and_never_lengthen_the_path():
+@pytest.mark.parametrize("ends", [((1.0, 1.3), (5.0, 4.7)), ((2.2, 2.0), (3.8, 2.0))])
+def test_shortcuts_never_cost_clearance_and_never_lengthen_the_path(ends):
     world_map = hall()
-    ends = np.array([1.0, 1.3, 1.0]), np.array([5.0, 4.7, 1.0])
+    ends = [np.array([*xy, 1.0]) for xy in ends]
     rough = AStar(straight=False).plan(world_map, *ends, 1.0)
     straight = AStar().plan(world_map, *ends, 1.0)
     assert straight.length_m <= rough.length_m + 1e-9
-    assert len(straight.p_WP) < 8
+    assert len(straight.p_WP) < min(9, len(rough.p_WP))
     legs = itertools.pairwise(straight.p_WP)
     dense = np.concatenate([a + np.linspace(0, 1, 200)[:, None] * (b - a) for a, b in legs])
     assert world_map.clearance(dense, np.zeros(len(dense))).min() > 0.0

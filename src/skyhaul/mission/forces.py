@@ -13,6 +13,7 @@ from skyhaul.control.force_plan import (
     sample_motion,
     sample_plan,
 )
+from skyhaul.control.geometric import GeometricController
 from skyhaul.geometry.quaternion import quat_exp, quat_mul, quat_to_R
 from skyhaul.mapping.api import WorldMap
 from skyhaul.mission.api import Recorder, Solve, Trigger
@@ -110,7 +111,8 @@ class ForcePlanning:
         self._failed = solution.status is SolveStatus.FAILED
         self._recorder.trigger(Trigger(t_us, cause, solution.status.value))
         self._recorder.solve(Solve(t_us, cause, solution))
-        plan = solution.plan if trigger.feedback else without_feedback(solution.plan)
+        bare = not trigger.feedback and not self._by_law(t_us)
+        plan = without_feedback(solution.plan) if bare else solution.plan
         self._pending.put(t_us, solution.wall_ms, plan)
 
     def take(self, t_us: TimeUs) -> ForcePlan | None:
@@ -118,11 +120,19 @@ class ForcePlanning:
         return self._pending.take(t_us)
 
     def _solve(self, request: ControlRequest) -> Solution:
-        if request.stamp_us < self._recover_until_us:
+        if self._recovering(request.stamp_us):
             _, solution = self._stack.backup.solve(None, request)
         else:
             self._memory, solution = self._stack.controller.solve(self._memory, request)
         return solution
+
+    def _recovering(self, t_us: TimeUs) -> bool:
+        """Whether a vehicle was lost a moment ago."""
+        return t_us < self._recover_until_us
+
+    def _by_law(self, t_us: TimeUs) -> bool:
+        """Whether plans come from the geometric law, which is nothing but its feedback."""
+        return self._recovering(t_us) or isinstance(self._stack.controller, GeometricController)
 
     def _error(self, t_us: TimeUs, load: Array) -> Array:
         """Measured load against the planned one, (12,)."""

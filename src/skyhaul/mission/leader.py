@@ -23,12 +23,16 @@ from skyhaul.planning.api import Reference, ReferencePlan, ReferenceStatus
 from skyhaul.planning.heading import HeadingPlan, fan_out
 from skyhaul.planning.reference import (
     SplineReference,
+    restart_reference,
     resting_reference,
     stop_reference,
     with_tilt,
 )
 from skyhaul.planning.tasks import lift_reference, task_reference
 from skyhaul.types import (
+    LOAD_NX,
+    LOAD_P,
+    LOAD_V,
     US_PER_S,
     Array,
     Mask,
@@ -53,7 +57,7 @@ class Leader:
         self.reference: Reference | None = None
         self._stack, self._bus, self._recorder, self._watch = stack, bus, recorder, watch
         self.forces = ForcePlanning(stack, recorder)
-        self._pending: Pending[ReferencePlan] = Pending(stack.mission.latency)
+        self._pending: Pending[tuple[Reference, bool]] = Pending(stack.mission.latency)
         self.active: Mask = np.ones(stack.team.count, np.bool_)
         self._map: WorldMap | None = None
         self._change: MapChange | None = None
@@ -67,6 +71,7 @@ class Leader:
         self._phase_since_us = -1
         self._clearance_m = np.inf
         self._floor_z = 0.0
+        self._load = np.zeros(LOAD_NX)
 
     def hear(self, t_us: TimeUs, statuses: list[Status], faulty: frozenset[int]) -> None:
         """Heartbeats since the last cycle, and who can carry no longer."""
@@ -102,6 +107,7 @@ class Leader:
     # Step 1: M(t) = SLAM(p(t), o(t)) ------------------------------------------------------------
     def update_map(self, estimate: TeamEstimate, obstacles: ObstacleEstimate) -> None:
         """Bring M(t) up to date and note what changed."""
+        self._load = estimate.team.load
         with self._watch.stage("mapping"):
             self._mapper_memory, self._map, self._change = self._stack.mapper.step(
                 self._mapper_memory, obstacles, estimate.team
@@ -213,31 +219,42 @@ class Leader:
         task = self._stack.task
         if self._map is None or self.reference is None or task.kind != "goto":
             return
-        began = time.perf_counter()
+        began, limits = time.perf_counter(), self._stack.limits
+        current = self.reference
+        if cause == "tracking_error":
+            load = self._load
+            current = restart_reference(load[LOAD_P], load[LOAD_V], _yaw(load), t_us, limits)
         with self._watch.stage("planning"):
-            result = self._stack.planner.plan(
-                self._map, self.reference, t_us, np.array(task.goal_m), self._stack.limits
-            )
+            goal = np.array(task.goal_m)
+            result = self._stack.planner.plan(self._map, current, t_us, goal, limits)
         wall_ms = 1e3 * (time.perf_counter() - began)
         self._last_replan_us = t_us
         self._mapper_memory = self._stack.mapper.mark_planned(self._mapper_memory)
-        accepted = result.status is ReferenceStatus.OK and self._is_better(result, cause, t_us)
-        self._recorder.replan(Replan(t_us, cause, result, accepted, wall_ms))
-        if accepted and result.reference is not self.reference:
-            self._pending.put(t_us, wall_ms, result)
+        chosen = self._choice(result, cause, t_us)
+        self._recorder.replan(Replan(t_us, cause, result, chosen is not None, wall_ms))
+        if chosen is self.reference:
+            self._reaches_goal = result.reaches_goal
+        elif chosen is not None:
+            self._pending.put(t_us, wall_ms, (chosen, result.reaches_goal))
             self._recorder.trigger(Trigger(t_us, cause, f"path {result.path.status.value}"))
 
-    def _is_better(self, result: ReferencePlan, cause: str, t_us: TimeUs) -> bool:
-        """Without need a route is only changed for one that saves enough time."""
+    def _choice(self, result: ReferencePlan, cause: str, t_us: TimeUs) -> Reference | None:
+        """The reference to fly from a plan; None: the one in force stays.
+
+        Without need a route is only changed for one that saves enough time. Where no clear way
+        is left, the least bad curve is flown if it keeps farther off than the one in force.
+        """
         assert self.reference is not None
-        assert result.reference is not None
-        if cause == "corridor_free":
-            return result.reaches_goal
+        if result.status is not ReferenceStatus.OK:
+            better = result.min_clearance_m > self._clearance_m
+            return result.best_effort if better else None
         if cause != "better_path":
-            return True
+            return result.reference
+        assert result.reference is not None
         share = 1.0 - self._stack.mission.replan.better_share
         left = max(0, self.reference.end_us - t_us)
-        return result.reaches_goal and result.reference.end_us - t_us < share * left
+        saves = result.reference.end_us - t_us < share * left
+        return result.reference if result.reaches_goal and saves else None
 
     def _adopt(self, t_us: TimeUs, reference: Reference, reaches_goal: bool) -> None:
         self.reference, self._reaches_goal = reference, reaches_goal
@@ -270,8 +287,7 @@ class Leader:
         """Put what has been computed in force: the reference here, the plan by everybody."""
         planned = self._pending.take(t_us)
         if planned is not None:
-            assert planned.reference is not None
-            self._adopt(t_us, planned.reference, planned.reaches_goal)
+            self._adopt(t_us, *planned)
         plan = self.forces.take(t_us)
         if plan is not None:
             self._publish(t_us, plan)

@@ -156,7 +156,7 @@ class ReplanTriggers(Params):
     """How far ahead along the reference the clearance is watched [s]."""
     step_s: float = 0.1
     """Spacing of the watched places [s]."""
-    margin_m: float = 0.05
+    margin_m: float = 0.02
     """Fires when the predicted clearance falls below this [m]."""
     dwell_s: float = 0.3
     """Least time between two replans that are not urgent [s]."""

@@ -17,7 +17,8 @@ from skyhaul.control.nmpc.hpipm import OcpQp, QpOptions, QpShape
 from skyhaul.control.nmpc.plan import Feedback, force_plan
 from skyhaul.control.nmpc.sqp import Problem, SqpResult, Workspace, solve_sqp
 from skyhaul.control.nmpc.stage import FIXED_ROWS, NE, NJ, ROWS_PER_CABLE, Iterate
-from skyhaul.geometry.quaternion import R_to_quat, quat_exp, quat_mul, quat_to_R
+from skyhaul.geometry import kernels
+from skyhaul.geometry.quaternion import R_to_quat, quat_to_R
 from skyhaul.geometry.so3 import rotation_z
 from skyhaul.model.formation import formation, formation_forces, hover_attitude
 from skyhaul.model.team import Team
@@ -117,7 +118,7 @@ class PayloadNmpc:
     def _controlled(self, origin: Start) -> tuple[Array, Array]:
         """Z and its rate at the start, (nz,) each."""
         h, q = 1e-3, origin.load[LOAD_Q]
-        turned = quat_mul(q, quat_exp(h * origin.load[LOAD_W]))
+        turned = kernels.quat_mul(q, kernels.quat_exp(h * origin.load[LOAD_W]))
         force = np.stack([origin.force_W, origin.force_W + h * origin.dforce_W])
         z = self.controlled.values(self.team, quat_to_R(np.stack([q, turned])), force)
         return z[0], (z[1] - z[0]) / h

@@ -7,7 +7,7 @@ import numpy as np
 
 from skyhaul.control.api import ControlRequest, ForcePlan
 from skyhaul.control.force_plan import load_error, sample_plan
-from skyhaul.geometry.quaternion import quat_exp, quat_mul, quat_rotate
+from skyhaul.geometry.kernels import quat_exp, quat_mul, quat_rotate
 from skyhaul.types import ERR_R, ERR_W, LOAD_NE, LOAD_Q, LOAD_W, US_PER_S, Array
 
 SETTLE_S = 0.5

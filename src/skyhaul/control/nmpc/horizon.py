@@ -7,19 +7,14 @@ from skyhaul.control.nmpc.allocation import Controlled, WrenchShares
 from skyhaul.control.nmpc.forces import StageParams
 from skyhaul.control.nmpc.rollout import LEAD, roll_out
 from skyhaul.control.nmpc.stage import Iterate, StageRefs
-from skyhaul.geometry.quaternion import (
-    R_to_quat,
-    quat_conj,
-    quat_exp,
-    quat_log,
-    quat_mul,
-    quat_to_R,
-)
+from skyhaul.geometry import kernels
+from skyhaul.geometry.quaternion import quat_to_R
+from skyhaul.jit import njit
 from skyhaul.model.flatness import flat_outputs
 from skyhaul.model.formation import formation_forces
 from skyhaul.model.team import Team
 from skyhaul.planning.api import Reference
-from skyhaul.types import LOAD_P, LOAD_Q, LOAD_V, LOAD_W, Array, Mask
+from skyhaul.types import LOAD_Q, Array, Mask
 
 
 def stage_refs(
@@ -42,15 +37,12 @@ def stage_refs(
     """
     t_us, dt = times
     sample = reference.sample(t_us)
-    R_WD = (
-        sample.R_WD[:, 0] if team.payload.kind == "rigid" else np.tile(np.eye(3), (len(t_us), 1, 1))
-    )
+    rigid = team.payload.kind == "rigid"
+    R_WD = sample.R_WD[:, 0] if rigid else np.tile(np.eye(3), (len(t_us), 1, 1))
     flat = flat_outputs(team, sample.p_WD, sample.R_WD, np.zeros((team.count, 3)), active)
-    force = flat.force_W[:, 0]
-    x = np.empty((len(t_us), 13))
-    x[:, LOAD_P], x[:, LOAD_V] = sample.p_WD[:, 0], sample.p_WD[:, 1]
-    x[:, LOAD_Q] = R_to_quat(R_WD)
-    x[:, LOAD_W] = flat.w_WL_L if team.payload.kind == "rigid" else 0.0
+    force = np.ascontiguousarray(flat.force_W[:, 0])
+    x = np.zeros((len(t_us), 13))
+    _reference_states(np.array(sample.p_WD), np.array(sample.R_WD), flat.w_WL_L, rigid, x)
     z = controlled.values(team, R_WD, force)
     return StageRefs(
         x=x,
@@ -116,18 +108,48 @@ def shifted_guess(
         moves: 0 for entries of z that must be 0, (nz,).
     """
     ref, node = refs
-    t = age_s + node
-    inside = t <= node[-1]
-    x, z = np.empty_like(last.x), np.empty_like(last.z)
-    k = np.clip(np.searchsorted(node, t, side="right") - 1, 0, len(node) - 2)
-    s = np.clip((t - node[k]) / (node[k + 1] - node[k]), 0.0, 1.0)[:, None]
-    x[:] = (1.0 - s) * last.x[k] + s * last.x[k + 1]
-    turn = quat_log(quat_mul(quat_conj(last.x[k, LOAD_Q]), last.x[k + 1, LOAD_Q]))
-    x[:, LOAD_Q] = quat_mul(last.x[k, LOAD_Q], quat_exp(s * turn))
-    z[:] = (1.0 - s) * last.z[k] + s * last.z[k + 1]
-    out = ~inside
-    x[out], z[out] = ref.x[out], ref.z[out]
+    x, z = ref.x.copy(), ref.z.copy()
+    _interpolate((last.x, last.z), node, age_s, (x, z))
     return _closed(x, z * moves, node, x0, z0)
+
+
+@njit
+def _interpolate(
+    last: tuple[Array, Array], node: Array, age_s: float, out: tuple[Array, Array]
+) -> None:
+    """States and forces `age_s` later where the last iterate reaches, linear, attitude by slerp."""
+    x, z = last
+    k, end = 0, node.shape[0] - 1
+    for j in range(end + 1):
+        t = age_s + node[j]
+        if not 0.0 <= t <= node[end]:
+            continue
+        while k < end - 1 and t >= node[k + 1]:
+            k += 1
+        s = (t - node[k]) / (node[k + 1] - node[k])
+        for c in range(13):
+            out[0][j, c] = x[k, c] + s * (x[k + 1, c] - x[k, c])
+        for c in range(z.shape[1]):
+            out[1][j, c] = z[k, c] + s * (z[k + 1, c] - z[k, c])
+        q = (x[k, 3], x[k, 4], x[k, 5], x[k, 6])
+        turn = kernels.quat_log(kernels.quat_mul(kernels.quat_conj(q), x[k + 1, 3:7]))
+        q = kernels.quat_mul(q, kernels.quat_exp((s * turn[0], s * turn[1], s * turn[2])))
+        out[0][j, 3], out[0][j, 4], out[0][j, 5], out[0][j, 6] = q
+
+
+@njit
+def _reference_states(p_WD: Array, R_WD: Array, w: Array, rigid: bool, x: Array) -> None:
+    """Load states (k, 13) of derivatives 0..6 of a motion; the attitude of a point mass is 1."""
+    for k in range(x.shape[0]):
+        for c in range(3):
+            x[k, c], x[k, 7 + c] = p_WD[k, 0, c], p_WD[k, 1, c]
+        if rigid:
+            q = kernels.R_to_quat(R_WD[k, 0])
+            x[k, 3], x[k, 4], x[k, 5], x[k, 6] = q
+            for c in range(3):
+                x[k, 10 + c] = w[k, c]
+        else:
+            x[k, 3] = 1.0
 
 
 def _closed(x: Array, z: Array, node: Array, x0: Array, z0: Array) -> Iterate:
