@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skyhaul.comms.messages import PlanMessage
-from skyhaul.control.api import SolveStatus
+from skyhaul.control.api import ControlRequest, SolveStatus
 from skyhaul.control.force_plan import load_error, plan_arrays, sample_motion, sample_plan
 from skyhaul.geometry.quaternion import quat_exp, quat_mul
 from skyhaul.mapping.api import OccupancyGrid
@@ -51,6 +51,20 @@ def solve(forces, e, estimate, cause="start", active=ALL):
     return message
 
 
+def solve_of(e, estimate):
+    """A solution of the geometric law at hover."""
+    request = ControlRequest(
+        stamp_us=0,
+        load=estimate.team.load,
+        force_W=-estimate.cables.tension[:, None] * estimate.cables.dir_W,
+        dforce_W=np.zeros((4, 3)),
+        active=ALL,
+        reference=REST,
+        world_map=None,
+    )
+    return e.stack.controller.solve(None, request)[1]
+
+
 def shifted(estimate, t_us, load):
     """The estimate with another load state at another time."""
     p, q, v, w = load[:3], load[3:7], load[7:10], load[10:13]
@@ -81,10 +95,7 @@ def test_a_load_moved_by_nothing_stays_and_a_moved_attitude_is_unit():
 def test_the_first_solve_starts_from_what_is_measured(ensemble):
     forces, estimate = forces_of(ensemble), ensemble.estimate()
     assert forces.due(0, estimate, np.inf) == "start"
-    controller = Answer(None)
-    good = forces_of(ensemble)
-    solve(good, ensemble, estimate)
-    controller = Answer(ensemble.notes.solves[0].solution)
+    controller = Answer(solve_of(ensemble, estimate))
     forces._stack = replace(ensemble.stack, controller=controller)
     solve(forces, ensemble, estimate)
     (request,) = controller.requests
@@ -134,14 +145,27 @@ def test_without_feedback_solves_start_where_the_load_is_and_plans_go_bare(
 ):
     e = make_ensemble(with_mission(stack, trigger=PeriodicTrigger()))
     forces, estimate = forces_of(e), e.estimate()
-    message = solve(forces, e, estimate)
-    np.testing.assert_array_equal(message.plan.gain, 0.0)
-    assert np.abs(e.notes.solves[0].solution.plan.gain).max() > 0.0
+    lawful = solve(forces, e, estimate)
+    assert np.abs(lawful.plan.gain).max() > 0.0  # the geometric law is nothing but feedback
     controller = Answer(e.notes.solves[0].solution)
     forces._stack = replace(e.stack, controller=controller)
     load = move_load(estimate.team.load, 0.01 * np.arange(12.0))
-    solve(forces, e, shifted(estimate, 50_000, load), "period")
+    bare = solve(forces, e, shifted(estimate, 50_000, load), "period")
     np.testing.assert_allclose(controller.requests[0].load, load, atol=1e-12)
+    np.testing.assert_array_equal(bare.plan.gain, 0.0)
+
+
+def test_after_a_fault_the_geometric_law_keeps_its_feedback_under_any_trigger(
+    make_ensemble, stack, with_mission
+):
+    e = make_ensemble(with_mission(stack, trigger=PeriodicTrigger()))
+    forces, estimate = forces_of(e), e.estimate()
+    solution = solve_of(e, estimate)
+    forces._stack = replace(e.stack, controller=Answer(solution))
+    assert np.abs(solve(forces, e, estimate).plan.gain).max() == 0.0
+    forces.fault(2_000)
+    law = solve(forces, e, replace(estimate, stamp_us=2_000), "fault")
+    assert np.abs(law.plan.gain).max() > 0.0
 
 
 def test_a_failed_solve_is_noted_and_tried_again_after_the_dwell(ensemble):
@@ -208,10 +232,7 @@ def test_a_quaternion_and_its_negative_are_the_same_error(ensemble):
 def test_with_measured_latency_the_plan_takes_the_time_it_took(make_ensemble, stack, with_mission):
     e = make_ensemble(with_mission(stack, latency="measured"))
     forces, estimate = forces_of(e), e.estimate()
-    solution = None
-    plain = make_ensemble(stack)
-    solve(forces_of(plain), plain, estimate)
-    solution = replace(plain.notes.solves[0].solution, wall_ms=7.0)
+    solution = replace(solve_of(e, estimate), wall_ms=7.0)
     forces._stack = replace(e.stack, controller=Answer(solution))
     world = static_map(OccupancyGrid(np.zeros((4, 4, 4), bool), np.zeros(3), 0.1), e.stack.shape)
     forces.solve("start", estimate, REST, world, ALL)
