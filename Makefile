@@ -8,7 +8,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
-BENCHMARKS := $(filter-out benchmarks/readme_table.py,$(sort $(wildcard benchmarks/*.py)))
+NO_BENCHMARK := $(addprefix benchmarks/,readme_table.py fly.py result_file.py calibration.py load_loop.py)
+BENCHMARKS := $(filter-out $(NO_BENCHMARK),$(sort $(wildcard benchmarks/*.py)))
 
 .PHONY: help setup run test test-all check format bench lock clean
 .DEFAULT_GOAL := help

@@ -55,6 +55,8 @@ class MissionConfig(Params):
     """Height to which the load is lifted before the flight begins [m]."""
     clear_of_floor_m: float = 0.15
     """The lift ends and the flight begins when the load is this high above its place [m]."""
+    low_s: float = 1.2
+    """Vehicles on their way to the stations are below the movers for this long [s]."""
     airborne_s: float = 3.0
     """From the stations on, it takes this long to be able to dodge: tauten, spool, lift [s]."""
     spool_s: float = 0.6

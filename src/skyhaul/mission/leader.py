@@ -147,7 +147,10 @@ class Leader:
         ahead_s = np.linspace(0.0, self._map.tube_horizon_s, 21)
         place = np.tile(estimate.team.p_WL, (ahead_s.size, 1))
         clear = self._map.clearance(place, t_us + ahead_s * US_PER_S)
-        blocked = np.flatnonzero(clear < 0.0)
+        soon = self._stack.mission.low_s - max(
+            (s.on_way_s for s in self._statuses.values()), default=0.0
+        )
+        blocked = np.flatnonzero((clear < 0.0) & (ahead_s >= soon))
         if blocked.size == 0:
             return False
         return bool(ahead_s[blocked[0]] < self._until_airborne_s())

@@ -90,6 +90,7 @@ class VehicleAgent:
             attached=bool(estimate.attached[i]),
             at_station=self._arrived(),
             station_in_s=self._station_in_s(),
+            on_way_s=0.0 if self._route is None else self._route.progress_s,
         )
         self._bus.publish(STATUS, i, t_us, status)
         return status

@@ -18,8 +18,8 @@ TEAMS = {"four": Team(), "three": Team(count=3), "point": Team(payload=PointPayl
 every_team = pytest.mark.parametrize("team", TEAMS.values(), ids=TEAMS.keys())
 
 
-def tumbling_reference(t):
-    """A load that speeds along a curve and nods: derivatives 0..6 by differences of jets."""
+def nodding_reference(t, loop):
+    """A load that speeds along a curve and nods about y: derivatives 0..6."""
     k = len(t)
     p, R = np.zeros((k, 7, 3)), np.zeros((k, 7, 3, 3))
     w = 1.4
@@ -27,20 +27,18 @@ def tumbling_reference(t):
         p[:, d, 0] = 0.6 * w**d * np.sin(w * t + 0.5 * np.pi * d)
         p[:, d, 1] = 0.4 * (2 * w) ** d * np.sin(2 * w * t + 0.5 * np.pi * d)
         p[:, d, 2] = 0.1 * w**d * np.cos(w * t + 0.5 * np.pi * d)
-        # turn about y at a constant rate of 0.5 rad/s
-        c = 0.5**d * np.cos(0.5 * t + 0.5 * np.pi * d)
-        s = 0.5**d * np.sin(0.5 * t + 0.5 * np.pi * d)
-        R[:, d, 0, 0], R[:, d, 0, 2], R[:, d, 2, 0], R[:, d, 2, 2] = c, s, -s, c
+    c, s = loop._jets_of_turn(0.4, 2.0, t)
+    R[:, :, 0, 0], R[:, :, 0, 2], R[:, :, 2, 0], R[:, :, 2, 2] = c, s, -s, c
     R[:, 0, 1, 1] = 1.0
     return p, R
 
 
-def flat_plan(team):
+def flat_plan(team, loop):
     """The plan of the flat motion, sampled at the nodes, and the flat outputs there."""
     controller = Nmpc(step_s=(0.02,) * 20).build(team, Limits())
     model = _model(controller, (True,) * team.count)
     t = 0.02 * np.arange(21)
-    p, R = tumbling_reference(t)
+    p, R = nodding_reference(t, loop)
     if team.payload.kind == "point":
         R[:], R[:, 0] = 0.0, np.eye(3)
     flat = flat_outputs(team, p, R, np.zeros((team.count, 3)))
@@ -60,17 +58,17 @@ def flat_plan(team):
 
 
 @every_team
-def test_thrusts_and_accelerations_are_the_flat_ones(team):
-    _, _, plan, flat, p = flat_plan(team)
+def test_thrusts_and_accelerations_are_the_flat_ones(team, loop):
+    _, _, plan, flat, p = flat_plan(team, loop)
     np.testing.assert_allclose(plan.accel_W, p[:, 2], atol=1e-9)
     np.testing.assert_allclose(plan.dforce_W, flat.force_W[:, 1], atol=2e-3)
     np.testing.assert_allclose(plan.thrust[1:-1], flat.wrench[1:-1, :, 0], atol=4e-3)
 
 
 @every_team
-def test_gains_turn_errors_into_the_wrench_of_the_feedback(team):
+def test_gains_turn_errors_into_the_wrench_of_the_feedback(team, loop):
     """Sum of the forces: -k e_p - d e_v, W axes; sum of the moments: K (e_R, e_w), L axes."""
-    controller, model, plan, _, _ = flat_plan(team)
+    controller, model, plan, _, _ = flat_plan(team, loop)
     feedback, z = controller.settings.feedback, plan.force_W.reshape(21, -1).copy()
     K = np.zeros((21, 3, 6))
     if team.payload.kind == "rigid":
