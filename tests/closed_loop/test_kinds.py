@@ -6,8 +6,20 @@ import pytest
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 
-@pytest.mark.parametrize("trigger", ["event", "periodic", "periodic-feedback"])
-@pytest.mark.parametrize("payload", ["nmpc", "wrench", "geometric"])
+OPEN_LOOP_WRENCH = pytest.mark.xfail(
+    reason="the paper's wrench, open loop at 20 Hz, takes yaw moments for immediate: it diverges",
+    strict=True,
+)
+KINDS = [
+    pytest.param(payload, trigger, marks=OPEN_LOOP_WRENCH)
+    if (payload, trigger) == ("wrench", "periodic")
+    else (payload, trigger)
+    for payload in ("nmpc", "wrench", "geometric")
+    for trigger in ("event", "periodic", "periodic-feedback")
+]
+
+
+@pytest.mark.parametrize(("payload", "trigger"), KINDS)
 def test_figure8(flown, payload, trigger):
     kinds = (f"control.payload.kind={payload}", f"mission.trigger.kind={trigger}")
     metrics = flown("figure8", kinds)

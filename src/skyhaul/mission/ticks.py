@@ -5,7 +5,7 @@ import numpy as np
 
 from skyhaul.control.api import VehicleCommand
 from skyhaul.control.force_plan import sample_plan
-from skyhaul.geometry.quaternion import R_to_quat
+from skyhaul.geometry.kernels import R_to_quat
 from skyhaul.geometry.so3 import vee
 from skyhaul.mission.api import AIRBORNE, Tick
 from skyhaul.mission.leader import Leader
@@ -18,17 +18,18 @@ from skyhaul.plant.api import Truth
 from skyhaul.types import LOAD_NX, LOAD_P, LOAD_Q, LOAD_V, LOAD_W, Array, Mask
 
 PLAN_PERIOD_US = 10_000
-"""Plans and references are sampled this often for the record [us]."""
+"""Plans, references and commands are sampled this often for the record [us]."""
 
 
 class TickMaker:
-    """Makes the record of each step; plans and references are sampled at 100 Hz."""
+    """Makes the record of each step; all but truth and estimate are sampled at 100 Hz."""
 
     def __init__(self, team: Team) -> None:
         self._team, n = team, team.count
         self._reference = np.full(LOAD_NX, np.nan)
         self._force, self._thrust = np.full((n, 3), np.nan), np.full(n, np.nan)
         self._flat_dir = np.full((n, 3), np.nan)
+        self._command = _command_of([])
 
     def make(
         self, truth: Truth, estimate: TeamEstimate, leader: Leader, actuations: list[Actuation]
@@ -36,21 +37,14 @@ class TickMaker:
         """The record of one step."""
         if truth.stamp_us % PLAN_PERIOD_US == 0:
             self._sample(truth.stamp_us, leader)
-        rotor_cmd = np.array([a.rotor_cmd for a in actuations])
-        command = VehicleCommand(
-            thrust=np.array([a.thrust for a in actuations]),
-            moment_B=np.array([a.moment_B for a in actuations]),
-            force_W=np.array([a.force_W for a in actuations]),
-            dforce_W=np.array([a.dforce_W for a in actuations]),
-            rotor_cmd=rotor_cmd,
-        )
+            self._command = _command_of(actuations)
         return Tick(
             truth=truth,
             estimate=estimate,
             phase=leader.phase,
             reference=self._reference,
-            command=command,
-            rotor_cmd=rotor_cmd,
+            command=self._command,
+            rotor_cmd=self._command.rotor_cmd,
             planned_force_W=self._force,
             planned_thrust=self._thrust,
             flat_cable_dir_W=self._flat_dir,
@@ -70,6 +64,17 @@ class TickMaker:
         yaw = np.zeros((self._team.count, 3))
         flat = flat_outputs(self._team, sample.p_WD[0], sample.R_WD[0], yaw, active)
         return np.asarray(flat.cable_dir_W[0])
+
+
+def _command_of(actuations: list[Actuation]) -> VehicleCommand:
+    """What the agents ask of their hardware, one row each."""
+    return VehicleCommand(
+        thrust=np.array([a.thrust for a in actuations]),
+        moment_B=np.array([a.moment_B for a in actuations]),
+        force_W=np.array([a.force_W for a in actuations]),
+        dforce_W=np.array([a.dforce_W for a in actuations]),
+        rotor_cmd=np.array([a.rotor_cmd for a in actuations]),
+    )
 
 
 def load_of(sample: RefSample) -> Array:
