@@ -28,6 +28,7 @@ READY = Status(
     attached=True,
     at_station=True,
     station_in_s=0.0,
+    on_way_s=2.5,
 )
 
 

@@ -26,7 +26,7 @@ class Status:
     attached: bool
     at_station: bool  # it has reached the place that the phase asks for
     station_in_s: float  # time until then; inf while it stands at its parking place [s]
-    on_way_s: float = 0.0  # how far it is on its way there [s]
+    on_way_s: float  # how far it is on its way there [s]
 
 
 @dataclass(frozen=True, eq=False)
