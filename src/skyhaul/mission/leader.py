@@ -20,9 +20,11 @@ from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.mission.triggers import ReplanView, predicted_clearance, replan_cause
 from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
 from skyhaul.planning.api import Reference, ReferencePlan, ReferenceStatus
+from skyhaul.planning.cost import is_better, reference_cost
 from skyhaul.planning.heading import HeadingPlan, fan_out
 from skyhaul.planning.reference import (
     SplineReference,
+    remaining_time,
     restart_reference,
     resting_reference,
     stop_reference,
@@ -39,6 +41,8 @@ from skyhaul.types import (
     TimeUs,
 )
 
+_RESTS_MPS, _ARRIVING_US = 0.15, 1_500_000
+"""Slower than this the team rests on its way [m/s], but not so soon before the end [us]."""
 _TILT_US = 800_000
 """Time to turn the load to another attitude after a vehicle is lost [us]."""
 
@@ -57,7 +61,7 @@ class Leader:
         self.reference: Reference | None = None
         self._stack, self._bus, self._recorder, self._watch = stack, bus, recorder, watch
         self.forces = ForcePlanning(stack, recorder)
-        self._pending: Pending[tuple[Reference, bool]] = Pending(stack.mission.latency)
+        self._pending: Pending[tuple[Reference, bool, bool]] = Pending(stack.mission.latency)
         self.active: Mask = np.ones(stack.team.count, np.bool_)
         self._map: WorldMap | None = None
         self._change: MapChange | None = None
@@ -65,6 +69,7 @@ class Leader:
         self._statuses: dict[int, Status] = {}
         self._task_reference: SplineReference | None = None
         self._reaches_goal = False
+        self._waits = False  # the reference in force rests on its way
         self._enough_left = True
         self._heading: HeadingPlan | None = None
         self._last_replan_us = -US_PER_S
@@ -212,9 +217,17 @@ class Leader:
             clearance_m=self._clearance_m,
             blocked_in_s=blocked_in_s,
             tracking_m=float(np.linalg.norm(estimate.team.p_WL - here)),
-            waiting=not self._reaches_goal,
+            waiting=not self._reaches_goal or self._resting(t_us),
         )
         return replan_cause(params, view)
+
+    def _resting(self, t_us: TimeUs) -> bool:
+        """Whether the team rests on its way, for a mover to pass."""
+        assert self.reference is not None
+        if not self._waits or t_us >= self.reference.end_us - _ARRIVING_US:
+            return False
+        speed = np.linalg.norm(self.reference.sample(np.array([t_us])).p_WD[0, 1])
+        return bool(speed < _RESTS_MPS)
 
     # Step 2: waypoints = A*(M(t)), path = spline(waypoints) --------------------------------------
     def replan(self, t_us: TimeUs, cause: str) -> None:
@@ -238,13 +251,13 @@ class Leader:
         if chosen is self.reference:
             self._reaches_goal = result.reaches_goal
         elif chosen is not None:
-            self._pending.put(t_us, wall_ms, (chosen, result.reaches_goal))
+            self._pending.put(t_us, wall_ms, (chosen, result.reaches_goal, result.waits_us > 0))
             self._recorder.trigger(Trigger(t_us, cause, f"path {result.path.status.value}"))
 
     def _choice(self, result: ReferencePlan, cause: str, t_us: TimeUs) -> Reference | None:
         """The reference to fly from a plan; None: the one in force stays.
 
-        Without need a route is only changed for one that saves enough time. Where no clear way
+        Without need a route is only changed for one that costs enough less. Where no clear way
         is left, the least bad curve is flown if it keeps farther off than the one in force.
         """
         assert self.reference is not None
@@ -254,13 +267,18 @@ class Leader:
         if cause != "better_path":
             return result.reference
         assert result.reference is not None
-        share = 1.0 - self._stack.mission.replan.better_share
-        left = max(0, self.reference.end_us - t_us)
-        saves = result.reference.end_us - t_us < share * left
-        return result.reference if result.reaches_goal and saves else None
+        better = is_better(
+            reference_cost(result.reference, t_us, result.min_clearance_m),
+            reference_cost(self.reference, t_us, self._clearance_m),
+            remaining_time(self.reference, t_us),
+            1.0 - self._stack.mission.replan.better_share,
+        )
+        return result.reference if result.reaches_goal and better else None
 
-    def _adopt(self, t_us: TimeUs, reference: Reference, reaches_goal: bool) -> None:
-        self.reference, self._reaches_goal = reference, reaches_goal
+    def _adopt(
+        self, t_us: TimeUs, reference: Reference, reaches_goal: bool, waits: bool = False
+    ) -> None:
+        self.reference, self._reaches_goal, self._waits = reference, reaches_goal, waits
         self._pending.drop()
         self.forces.new_reference()
         n = self._stack.team.count

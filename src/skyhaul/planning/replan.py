@@ -19,6 +19,7 @@ from skyhaul.planning.api import (
 )
 from skyhaul.planning.astar import AStar
 from skyhaul.planning.candidates import Departure, departure
+from skyhaul.planning.cost import is_better, reference_cost
 from skyhaul.planning.reference import SplineReference, remaining_time
 from skyhaul.planning.verify import verify
 from skyhaul.planning.ways import Paths, WayParams, Ways
@@ -45,7 +46,7 @@ class SplinePlanner(Params):
     dt_emergency_s: tuple[float, ...] = (0.2, 0.12)
     """Knot spacings when the usual one leaves no clear way, tried in order [s]."""
     keep_ratio: float = 0.85
-    """A clear reference to the goal is kept unless another takes less than this share of it."""
+    """A clear reference to the goal is kept unless another costs less by the rest of its time."""
     ways: WayParams = field(default_factory=WayParams)
     """What is tried among movers."""
 
@@ -82,7 +83,7 @@ class RoutePlanner:
         Ways are tried in order, and of the first group with a clear one the quickest is taken:
         go; go slower, round the movers, or wait on the way; go near and wait there; stay; step
         aside. First with the usual knots, then with short ones and hard braking. A clear
-        reference is kept (`current` itself comes back) unless the new one is much quicker or, if
+        reference is kept (`current` itself comes back) unless the new one costs much less or, if
         neither reaches the goal, ends nearer to it.
         """
         p_WG = np.asarray(p_WG, dtype=np.float64)
@@ -138,8 +139,13 @@ class RoutePlanner:
         if new.reference is None or kept.reference is None:
             return kept
         if kept.reaches_goal:
-            quicker = is_better(new.reference, kept.reference, t_us, self.params.keep_ratio)
-            return new if new.reaches_goal and quicker else kept
+            better = is_better(
+                reference_cost(new.reference, t_us, new.min_clearance_m),
+                reference_cost(kept.reference, t_us, kept.min_clearance_m),
+                remaining_time(kept.reference, t_us),
+                self.params.keep_ratio,
+            )
+            return new if new.reaches_goal and better else kept
         nearer = _gap(new.reference, p_WG) < _gap(kept.reference, p_WG) - NEARER_M
         return new if new.reaches_goal or nearer else kept
 
@@ -168,7 +174,3 @@ def capped(limits: Limits, world_map: WorldMap) -> Limits:
     cap = a * (math.sqrt(REACTION_S**2 + 2.0 * ahead / a) - REACTION_S)
     return replace(limits, v_max_mps=min(limits.v_max_mps, cap))
 
-
-def is_better(new: Reference, current: Reference, t_us: TimeUs, ratio: float) -> bool:
-    """Whether a reference takes less than a share of the time that the current one still takes."""
-    return remaining_time(new, t_us) < ratio * remaining_time(current, t_us)

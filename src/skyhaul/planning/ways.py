@@ -15,6 +15,7 @@ from skyhaul.planning.candidates import (
     ACCEL_SHARE,
     HARD_SHARE,
     MOVING_MPS,
+    WANTED_M,
     Candidate,
     Departure,
     drive_at,
@@ -22,12 +23,14 @@ from skyhaul.planning.candidates import (
     make,
     smooth,
 )
+from skyhaul.planning.cost import way_cost
+from skyhaul.planning.detours import detours, posts
 from skyhaul.types import US_PER_S, Array
 
 MOVING_BUDGET = 30_000
 """Voxels to expand in the search round movers."""
-METRE_S, ROOMY_M, TIGHT_S = 0.7, 0.25, 3.0
-"""Cost of a metre of way [s]; clearance below which a way costs more [m], up to so much [s]."""
+POSTS = 4
+"""Places to wait near the goal that are tried."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,21 +45,28 @@ class WayParams(Params):
     """Distances before a blocked place at which waiting is tried [m]."""
     paces: tuple[float, ...] = (0.75, 0.5, 0.3)
     """Slower paces that are tried."""
+    aside_m: tuple[float, ...] = (0.8, 1.6)
+    """Distances at which a blocked place is passed [m]."""
+    sides: int = 8
+    """On so many sides."""
+    post_m: tuple[float, ...] = (0.5, 0.8, 1.1, 1.4)
+    """Distances from a taken goal at which waiting is tried [m]."""
 
     def __post_init__(self) -> None:
         if not self.corner_m > 0.0:
             raise ValueError(f"corner_m must be > 0, got {self.corner_m}")
         if not all(0.0 < p < 1.0 for p in self.paces):
             raise ValueError(f"paces must lie in (0, 1), got {self.paces}")
-        for name in ("waits_s", "back_off_m"):
+        if self.sides < 1:
+            raise ValueError(f"sides must be >= 1, got {self.sides}")
+        for name in ("waits_s", "back_off_m", "aside_m", "post_m"):
             if not all(x > 0.0 for x in getattr(self, name)):
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
 
 
 def _cost(c: Candidate) -> float:
-    """What a way costs: its time, its length, and little clearance [s]."""
-    tight = max(0.0, 1.0 - c.smallest_m / ROOMY_M)
-    return c.end_us / US_PER_S + METRE_S * float(c.run.way[-1]) + TIGHT_S * tight
+    """What a way costs, but for when it begins [s]."""
+    return way_cost(c.end_us / US_PER_S, float(c.run.way[-1]), c.smallest_m)
 
 
 @dataclass(eq=False)
@@ -121,6 +131,9 @@ class Ways:
             around = [c for c in self._around(direct) if c.good]
             if around:
                 return self._result(min(around, key=_cost), goes=True)
+            near = [c for c in self._at_posts(direct) if c.good]
+            if near:
+                return self._result(min(near, key=_cost), goes=False)
         for c in (*(self._near(direct) if direct is not None else ()), *self._stay()):
             if c.good:
                 return self._result(c, goes=False)
@@ -196,6 +209,7 @@ class Ways:
         plan = self.paths.moving(self.start)
         if len(plan.p_WP) > 0:
             out.append(self._along(plan.p_WP))
+        out += self._past(direct)
         for at in self._rests(direct):
             for wait in self.params.waits_s:
                 c = self._make(direct.points, rest_at=at, rest_s=wait)
@@ -203,6 +217,35 @@ class Ways:
                 if c.good or not c.feasible:
                     break
         return out
+
+    def _past(self, direct: Candidate) -> list[Candidate]:
+        """Past the blocked place, on all sides of it."""
+        blocked = direct.way_at(direct.bad_at_s, self.start.after_s)
+        params = self.params
+        paths = detours(self.path.p_WP, blocked, params.aside_m, params.sides)
+        share = 1.0 if self.start.speed_mps >= MOVING_MPS else 0.0
+        return [self._make(self._points(path, share, params.corner_m)) for path in paths]
+
+    def _at_posts(self, direct: Candidate) -> list[Candidate]:
+        """To a place near the goal that stays clear, and wait there."""
+        s, goal = self.start, self.paths.p_WG
+        begin_s = (s.t_us - s.world_map.stamp_us) / US_PER_S
+        soonest_s = begin_s + s.after_s + float(np.linalg.norm(goal - s.p_WS)) / s.limits.v_max_mps
+        if self.path.status is not PlanStatus.FOUND or not self._goal_taken(soonest_s):
+            return []
+        out: list[Candidate] = []
+        for place in posts(s.world_map, s.p_WS, goal, self.params.post_m, soonest_s)[:POSTS]:
+            out.append(self._along(np.concatenate([self.path.p_WP[:-1], place[None]])))
+            if out[-1].good:
+                break
+        return out
+
+    def _goal_taken(self, soonest_s: float) -> bool:
+        """Whether a mover is at the goal when the team could be there, or comes soon after."""
+        world_map = self.start.world_map
+        times = np.linspace(soonest_s, max(world_map.tube_horizon_s, soonest_s), 8)
+        goal = np.tile(self.paths.p_WG, (len(times), 1))
+        return bool(np.min(clearances(world_map.arrays, goal, times)) < WANTED_M)
 
     def _rests(self, direct: Candidate) -> list[float]:
         """Distances along the path at which to wait: before the blocked place, and at once."""
