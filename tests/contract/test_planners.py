@@ -11,6 +11,7 @@ from skyhaul.mapping.mapper import static_map
 from skyhaul.model.envelope import TeamShape
 from skyhaul.planning.api import PathPlanner, PlanStatus
 from skyhaul.planning.astar import AStar
+from skyhaul.planning.dijkstra import Dijkstra
 
 CLEARANCE_M = 0.1
 SHAPE = TeamShape(radius_m=0.3, above_m=0.4, below_m=0.1)
@@ -18,6 +19,7 @@ PLANNERS: list[PathPlanner] = [
     AStar(clearance_m=CLEARANCE_M),
     AStar(clearance_m=CLEARANCE_M, straight=False),
     AStar(clearance_m=CLEARANCE_M, heuristic="euclidean", band_m=0.0),
+    Dijkstra(clearance_m=CLEARANCE_M),
 ]
 
 every_planner = pytest.mark.parametrize("planner", PLANNERS, ids=lambda p: p.kind)

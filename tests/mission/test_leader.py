@@ -6,13 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skyhaul.comms.messages import Status
 from skyhaul.geometry.shapes import Sphere
 from skyhaul.mission.api import Phase
 from skyhaul.mission.leader import Leader
+from skyhaul.mission.station import station_point
 from skyhaul.perception.api import ObstacleEstimate, Track
 from skyhaul.planning.api import Plan, PlanStatus, ReferencePlan, ReferenceStatus
 from skyhaul.planning.cubic import CubicPlanner
 from skyhaul.planning.reference import resting_reference
+from skyhaul.planning.tasks import LIFT_DT_US
 from skyhaul.world.scenario import AirStart
 
 PERIOD_US = 20_000
@@ -126,6 +129,70 @@ def test_a_journey_begins_with_a_plan_to_the_goal(journey):
     assert leader.solve_event(0, e.estimate(0, p_WL=HOME)) == "start"
 
 
+def lifting(e, make_ensemble, ground_stack, t_us):
+    """A leader whose team has begun to lift at a time, cables taut."""
+    leader = leader_of(make_ensemble(ground_stack))
+    look(leader, e, t_us - PERIOD_US, FLOOR)
+    leader.hear(t_us, [taut(i, t_us) for i in range(4)], frozenset())
+    look(leader, e, t_us, FLOOR)
+    return leader
+
+
+FLOOR = np.array([0.0, 0.0, 0.04])
+
+
+def taut(i, t_us):
+    return Status(
+        stamp_us=t_us, vehicle=i, p_WB=np.zeros(3), v_WB=np.zeros(3), tension=0.5, taut=True,
+        attached=True, at_station=True, station_in_s=0.0, on_way_s=1.0,
+    )  # fmt: skip
+
+
+def test_the_journey_is_planned_while_the_load_rises_and_not_before(
+    ensemble, make_ensemble, ground_stack
+):
+    t_us = 1_000_000
+    leader = lifting(ensemble, make_ensemble, ground_stack, t_us)
+    assert leader.phase is Phase.LIFT
+    rise_us = leader.reference.start_us + LIFT_DT_US
+    for now, cause in ((rise_us - PERIOD_US, None), (rise_us, "corridor_free")):
+        estimate = look(leader, ensemble, now, FLOOR)
+        assert leader.detect_event(now, estimate) == cause
+    before = leader.reference
+    replan(leader, rise_us, "corridor_free")
+    assert leader.phase is Phase.LIFT
+    end = leader.reference.sample(np.array([leader.reference.end_us])).p_WD[0, 0]
+    np.testing.assert_allclose(end, GOAL, atol=1e-9)
+    ahead = rise_us + np.arange(0, 400_000, 50_000)
+    a, b = (r.sample(ahead).p_WD[:, 0] for r in (before, leader.reference))
+    np.testing.assert_allclose(b[:, :2], a[:, :2], atol=0.01)  # straight up at first
+
+
+def test_a_mover_over_a_station_holds_the_take_off(ensemble, make_ensemble, ground_stack):
+    leader = leader_of(make_ensemble(ground_stack))
+    station = station_point(ground_stack.team, FLOOR, np.eye(3), 3, 1.0)
+    look(leader, ensemble, 0, FLOOR)
+    assert not leader.order.retreat
+    look(leader, ensemble, PERIOD_US, FLOOR, [ball(PERIOD_US, station)])
+    assert leader.order.retreat
+    look(leader, ensemble, 2 * PERIOD_US, FLOOR, [ball(2 * PERIOD_US, station + 3.0)])
+    assert not leader.order.retreat
+
+
+def test_a_team_that_rests_for_a_mover_looks_for_a_better_way_often(journey):
+    leader, e = journey
+    replan(leader, 0, "corridor_free")
+    rests = resting_reference(HOME, 0.0, 0, dt_us=4_000_000)
+    for waits_us, cause in ((1_000_000, "corridor_free"), (0, None)):
+        result = ReferencePlan(
+            ReferenceStatus.OK, Plan(PlanStatus.FOUND), rests, waits_us, reaches_goal=True
+        )
+        leader._stack = replace(e.stack, planner=Planner(result))
+        replan(leader, 0, "clearance")
+        look(leader, e, 600_000, HOME)
+        assert leader.detect_event(600_000, e.estimate(600_000, p_WL=HOME)) == cause
+
+
 def test_a_mover_ahead_replans_and_one_behind_does_not(journey):
     leader, e = journey
     replan(leader, 0, "corridor_free")
@@ -150,16 +217,21 @@ def test_an_equal_path_is_not_taken_in_place_of_the_one_that_is_flown(journey):
     assert leader.reference is before
 
 
-@pytest.mark.parametrize(("share", "taken"), [(0.9, False), (0.8, True)])
+@pytest.mark.parametrize(
+    ("share", "clearance_m", "taken"), [(1.4, 1.0, False), (0.8, 1.0, True), (1.2, 0.0, False)]
+)
 @pytest.mark.parametrize("reaches_goal", [True, False])
-def test_a_quicker_path_is_taken_when_it_saves_enough_and_leads_to_the_goal(
-    journey, share, taken, reaches_goal
+def test_a_better_path_is_taken_when_it_saves_enough_and_leads_to_the_goal(
+    journey, share, clearance_m, taken, reaches_goal
 ):
+    """The other path has no length here: it may take longer, but not if it is tight too."""
     leader, e = journey
     replan(leader, 0, "corridor_free")
     quicker = resting_reference(GOAL, 0.0, round(share * leader.reference.end_us))
     path = Plan(PlanStatus.FOUND)
-    result = ReferencePlan(ReferenceStatus.OK, path, quicker, reaches_goal=reaches_goal)
+    result = ReferencePlan(
+        ReferenceStatus.OK, path, quicker, reaches_goal=reaches_goal, min_clearance_m=clearance_m
+    )
     leader._stack = replace(e.stack, planner=Planner(result))
     replan(leader, 0, "better_path")
     assert (leader.reference is quicker) == (taken and reaches_goal)

@@ -51,7 +51,7 @@ def shortest(world_map: WorldMap) -> float:
     return dijkstra(coo_array((steps, (i, j)), shape=(len(cells),) * 2), indices=0)[-1]
 
 
-@pytest.mark.parametrize("heuristic", ["octile", "euclidean"])
+@pytest.mark.parametrize("heuristic", ["octile", "euclidean", "none"])
 @pytest.mark.parametrize("fill", [0.02, 0.1, 0.4])
 @pytest.mark.parametrize("seed", range(20))
 def test_astar_is_as_short_as_dijkstra(seed, heuristic, fill):
@@ -74,10 +74,11 @@ def test_no_step_cuts_a_corner(seed):
 
 def test_octile_expands_fewer_voxels_than_euclidean_at_the_same_cost():
     world_map = noise_map(1, n=30, fill=0.1)
-    octile, euclidean = (across(world_map, replace(BARE, heuristic=h))
-                         for h in ("octile", "euclidean"))  # fmt: skip
+    octile, euclidean, none = (across(world_map, replace(BARE, heuristic=h))
+                               for h in ("octile", "euclidean", "none"))  # fmt: skip
     assert octile.length_m == pytest.approx(euclidean.length_m, rel=1e-7)
-    assert octile.n_expanded < euclidean.n_expanded
+    assert octile.length_m == pytest.approx(none.length_m, rel=1e-7)
+    assert octile.n_expanded < euclidean.n_expanded < none.n_expanded
 
 
 def test_astar_stops_at_its_budget():

@@ -14,8 +14,10 @@ from skyhaul.model.envelope import TeamShape
 from skyhaul.model.state import TeamState
 from skyhaul.perception.api import ObstacleEstimate, StaticObject, Track
 from skyhaul.planning.api import PlanStatus, ReferenceStatus
+from skyhaul.planning.astar import AStar
+from skyhaul.planning.dijkstra import Dijkstra
 from skyhaul.planning.reference import remaining_time, resting_reference, stop_reference
-from skyhaul.planning.replan import SplinePlanner, capped, is_better
+from skyhaul.planning.replan import SplinePlanner, capped
 from skyhaul.world.scenario import Limits, MapFrame, Room
 
 SHAPE = TeamShape(radius_m=0.5, above_m=0.7, below_m=0.2)
@@ -184,6 +186,39 @@ def test_a_mover_on_the_goal_is_waited_for_near_it():
     assert np.linalg.norm(end - OUT) < 2.0
 
 
+def test_a_mover_that_crosses_open_space_is_passed_without_a_stop():
+    """It would meet the team half way; there is room on all sides."""
+    free = PLANNER.plan(world(), start(IN), 0, OUT, LIMITS)
+    m = world((), [mover(9, (3.0, 5.0, 1.3), (0.0, -0.5, 0.0))])
+    result = PLANNER.plan(m, start(IN), 0, OUT, LIMITS)
+    assert result.reaches_goal
+    assert result.waits_us == 0
+    assert (
+        clearance_along(m, free.reference).min() < 0.0 < clearance_along(m, result.reference).min()
+    )
+    assert result.reference.end_us < free.reference.end_us + 1_500_000
+
+
+def test_near_a_taken_goal_it_waits_close_by_and_clear():
+    m = world((), [mover(9, OUT, (0, 0, 0))])
+    result = PLANNER.plan(m, start(IN), 0, OUT, LIMITS)
+    end = result.reference.sample(np.array([result.reference.end_us])).p_WD[0, 0]
+    assert not result.reaches_goal
+    assert np.linalg.norm(end - OUT) < 1.45
+    assert clearance_along(m, result.reference).min() > 0.0
+
+
+@pytest.mark.parametrize("kind", [AStar(), Dijkstra()])
+def test_the_path_search_can_be_exchanged(kind):
+    planner = SplinePlanner(path=kind).build(SHAPE)
+    m = world(forest(4)[:5])
+    p_WS, p_WG = ends(4)
+    result = planner.plan(m, start(p_WS), 0, p_WG, LIMITS)
+    assert result.reaches_goal
+    assert clearance_along(m, result.reference).min() > 0.0
+    assert result.path.n_expanded >= PLANNER.plan(m, start(p_WS), 0, p_WG, LIMITS).path.n_expanded
+
+
 def test_hovering_in_the_way_of_a_mover_it_steps_aside():
     here = np.array([3.0, 3.0, 2.0])
     m = world((), [mover(9, (5.4, 3.0, 2.2), (-0.5, 0, 0))])
@@ -217,7 +252,7 @@ def test_a_clear_reference_is_kept_until_another_is_much_quicker():
     assert PLANNER.plan(later, first, 2_000_000, p_WG, LIMITS).reference is first
     slow = PLANNER.plan(m, start(p_WS), 0, p_WG, replace(LIMITS, v_max_mps=0.4)).reference
     quick = PLANNER.plan(later, slow, 2_000_000, p_WG, LIMITS).reference
-    assert is_better(quick, slow, 2_000_000, 0.85)
+    assert remaining_time(quick, 2_000_000) < 0.85 * remaining_time(slow, 2_000_000)
 
 
 def test_a_blocked_reference_is_left():
@@ -278,10 +313,10 @@ def test_the_speed_cap_lets_the_team_stop_in_known_space():
     assert capped(LIMITS, world()).v_max_mps == LIMITS.v_max_mps
 
 
-def test_remaining_time_tells_the_quicker_reference():
-    a, b = (resting_reference(IN, 0.0, 0, dt_us=dt) for dt in (300_000, 200_000))
-    assert remaining_time(a, 0) == pytest.approx(0.3)
-    assert is_better(b, a, 0, 0.85)
+def test_remaining_time_is_that_until_the_end_and_never_negative():
+    reference = resting_reference(IN, 0.0, 0, dt_us=300_000)
+    assert remaining_time(reference, 100_000) == pytest.approx(0.2)
+    assert remaining_time(reference, 900_000) == 0.0
 
 
 @pytest.mark.parametrize(("name", "value"), [("dt_s", 0.0), ("keep_ratio", 1.5)])

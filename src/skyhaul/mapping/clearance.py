@@ -62,6 +62,22 @@ def clearances(m: MapArrays, p_WP: Array, t: Array) -> Array:
 
 
 @njit
+def tube_clearances(m: MapArrays, p_WP: Array, t: Array) -> Array:
+    """Smallest clearance to any tube, of a cylinder `m.shape` around places P, (k,) [m].
+
+    Args:
+        m: The map; with another shape, that of a single body.
+        p_WP: Places, (k, 3) [m].
+        t: When the body is there, after the map's stamp, (k,) [s].
+    """
+    out, scratch = np.empty(len(p_WP)), np.empty(3)
+    for q in range(len(p_WP)):
+        x, y, z = p_WP[q, 0], p_WP[q, 1], p_WP[q, 2]
+        out[q] = tube_clearance(m, x, y, z, t[q], math.inf, scratch)
+    return out
+
+
+@njit
 def static_clearance(m: MapArrays, x: float, y: float, z: float) -> float:
     """Clearance to voxels and room at a point [m]."""
     return min(layer_clearance(m, x, y, z), room_clearance(m, x, y, z))

@@ -7,7 +7,7 @@ from skyhaul.comms.in_process import InProcess
 from skyhaul.control.config import ControlConfig
 from skyhaul.mapping.mapper import Mapping
 from skyhaul.mission.latency import Latency
-from skyhaul.mission.station import StationParams
+from skyhaul.mission.station import StationParams, TakeOffParams
 from skyhaul.mission.triggers import EventTrigger, ReplanTriggers, SolveTrigger
 from skyhaul.params import Params
 from skyhaul.perception.obstacles.truth import TruthObstacles
@@ -51,15 +51,13 @@ class MissionConfig(Params):
     """Whether replans and solves take effect at once, or after the wall time they took."""
     recovery_s: float = 2.0
     """After a vehicle is lost the load is flown by the geometric law for this long [s]."""
-    lift_m: float = 0.3
+    lift_m: float = 0.5
     """Height to which the load is lifted before the flight begins [m]."""
     clear_of_floor_m: float = 0.15
     """The lift ends and the flight begins when the load is this high above its place [m]."""
-    low_s: float = 1.2
-    """Vehicles on their way to the stations are below the movers for this long [s]."""
-    airborne_s: float = 3.0
-    """From the stations on, it takes this long to be able to dodge: tauten, spool, lift [s]."""
-    spool_s: float = 0.6
+    take_off: TakeOffParams = field(default_factory=TakeOffParams)
+    """When to take off beside movers."""
+    spool_s: float = 0.4
     """Time in which the cable forces grow to the weight of the load [s]."""
 
 

@@ -17,6 +17,7 @@ from skyhaul.mission.latency import Pending
 from skyhaul.mission.phases import LeaderView, next_phase, spool_plan
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.stopwatch import Stopwatch
+from skyhaul.mission.take_off import is_clear, predict
 from skyhaul.mission.triggers import ReplanView, predicted_clearance, replan_cause
 from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
 from skyhaul.planning.api import Reference, ReferencePlan, ReferenceStatus
@@ -30,7 +31,7 @@ from skyhaul.planning.reference import (
     stop_reference,
     with_tilt,
 )
-from skyhaul.planning.tasks import lift_reference, task_reference
+from skyhaul.planning.tasks import LIFT_DT_US, lift_reference, task_reference
 from skyhaul.types import (
     LOAD_NX,
     LOAD_P,
@@ -76,6 +77,7 @@ class Leader:
         self._phase_since_us = -1
         self._clearance_m = np.inf
         self._floor_z = 0.0
+        self._parked = np.zeros((stack.team.count, 3))  # where the way to the stations began
         self._load = np.zeros(LOAD_NX)
 
     def hear(self, t_us: TimeUs, statuses: list[Status], faulty: frozenset[int]) -> None:
@@ -123,7 +125,7 @@ class Leader:
     # The phases frame Algorithm 1: it begins and ends in the air ---------------------------------
     def advance(self, t_us: TimeUs, estimate: TeamEstimate) -> None:
         """Move on to the next phase when this one is done, and tell the vehicles."""
-        blocked = self._column_blocked(t_us, estimate)
+        blocked = self._phase_since_us >= 0 and self._column_blocked(t_us, estimate)
         phase = next_phase(self._stack, self._view(t_us, estimate, blocked=blocked))
         if phase is not self.phase or self._phase_since_us < 0:
             self.phase, self._phase_since_us = phase, t_us
@@ -146,31 +148,21 @@ class Leader:
         )
 
     def _column_blocked(self, t_us: TimeUs, estimate: TeamEstimate) -> bool:
-        """Whether a mover comes into the lift-off column before the team can leave it."""
+        """Whether a mover comes in the way of the take-off before the team can dodge it."""
         if self.phase is not Phase.TAUTEN or self._map is None:
             return False
-        ahead_s = np.linspace(0.0, self._map.tube_horizon_s, 21)
-        place = np.tile(estimate.team.p_WL, (ahead_s.size, 1))
-        clear = self._map.clearance(place, t_us + ahead_s * US_PER_S)
-        soon = self._stack.mission.low_s - max(
-            (s.on_way_s for s in self._statuses.values()), default=0.0
-        )
-        blocked = np.flatnonzero((clear < 0.0) & (ahead_s >= soon))
-        if blocked.size == 0:
-            return False
-        return bool(ahead_s[blocked[0]] < self._until_airborne_s())
-
-    def _until_airborne_s(self) -> float:
-        """How long the team still needs to be able to dodge, by the reports of the vehicles [s]."""
-        left = [s.station_in_s for s in self._statuses.values()]
-        if len(left) < int(self.active.sum()):
-            return np.inf
-        return max(left) + self._stack.mission.airborne_s
+        left_s = np.full(self._stack.team.count, np.inf)
+        for status in self._statuses.values():
+            left_s[status.vehicle] = status.station_in_s
+        take_off = predict(self._stack, self._parked, estimate.team.load, left_s)
+        return not is_clear(self._stack, self._map, t_us, take_off)
 
     def _enter(self, t_us: TimeUs, estimate: TeamEstimate) -> None:
         """What begins with a phase."""
         stack, load = self._stack, estimate.team.load
-        if self.phase is Phase.LIFT:
+        if self.phase is Phase.TAUTEN:
+            self._parked = estimate.team.p_WB
+        elif self.phase is Phase.LIFT:
             self._floor_z = float(load[2])
             begin = t_us + round(stack.mission.spool_s * US_PER_S)
             lift = lift_reference(load[:3], stack.mission.lift_m, _yaw(load), begin, stack.limits)
@@ -188,7 +180,6 @@ class Leader:
             self._adopt(t_us, resting_reference(load[:3], _yaw(load), t_us), reaches_goal=False)
         assert self.reference is not None
         if stack.task.kind == "goto":
-            self._last_replan_us = -US_PER_S
             return
         here = self.reference.sample(np.array([t_us]))
         self._task_reference = task_reference(
@@ -207,7 +198,7 @@ class Leader:
         self._clearance_m, blocked_in_s = predicted_clearance(
             self._map, self.reference, t_us, params
         )
-        if self.phase not in (Phase.CARRY, Phase.HOVER) or self._stack.task.kind != "goto":
+        if not self._flies(t_us) or self._stack.task.kind != "goto":
             return None
         here = self.reference.sample(np.array([t_us])).p_WD[0, 0]
         view = ReplanView(
@@ -220,6 +211,12 @@ class Leader:
             waiting=not self._reaches_goal or self._resting(t_us),
         )
         return replan_cause(params, view)
+
+    def _flies(self, t_us: TimeUs) -> bool:
+        """Whether the team can be led elsewhere: from when the load rises straight up."""
+        assert self.reference is not None
+        rises = self.phase is Phase.LIFT and t_us >= self.reference.start_us + LIFT_DT_US
+        return rises or self.phase in (Phase.CARRY, Phase.HOVER)
 
     def _resting(self, t_us: TimeUs) -> bool:
         """Whether the team rests on its way, for a mover to pass."""

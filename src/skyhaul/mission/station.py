@@ -38,15 +38,15 @@ def route_along(corners: Array) -> Route:
 class StationParams(Params):
     """How vehicles fly to their stations and tauten the cables."""
 
-    speed_mps: float = 1.0
+    speed_mps: float = 1.3
     """Largest speed on the way [m/s]."""
-    slack_share: float = 0.94
+    slack_share: float = 0.985
     """The station lies this share of the cable length from the hook."""
-    creep_mps: float = 0.08
+    creep_mps: float = 0.15
     """Speed of the creep that tautens the cable [m/s]."""
     taut_n: float = 0.1
     """Tension at which the creep stops [N]."""
-    settle_s: float = 0.2
+    settle_s: float = 0.1
     """A cable is taut once it has held that tension for this long [s]."""
     creep_max_share: float = 0.4
     """The creep goes at most this share of the cable length [-]."""
@@ -81,7 +81,7 @@ class StationParams(Params):
         """Minimum-jerk motion along the polyline."""
         end = self.duration_s(route)
         s = route.progress_s / end
-        share = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        share = float(route_share(np.array(s)))
         slope = 30.0 * s * s * (1.0 - s) ** 2 / end * route.rate
         p, tangent = _along(route.corners, share)
         bend = (60.0 * s - 180.0 * s * s + 120.0 * s**3) * (route.rate / end) ** 2
@@ -90,6 +90,33 @@ class StationParams(Params):
     def arrived(self, route: Route) -> bool:
         """Whether the end of the route is reached."""
         return route.progress_s >= self.duration_s(route)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TakeOffParams(Params):
+    """How long the steps of a take-off last, and how far it keeps off movers."""
+
+    tauten_s: float = 0.9
+    """From the stations until all cables are known to be taut [s]."""
+    rise_s: float = 0.3
+    """From the first pull at full weight until the load leaves the floor [s]."""
+    dodge_s: float = 1.5
+    """From then on it takes this long to be on another course [s]."""
+    margin_m: float = 0.1
+    """Vehicles and cables keep at least this far off the tubes of movers [m]."""
+    closer_m: float = 0.05
+    """A mover inside the team's shape may come this much closer while the team rises [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("tauten_s", "rise_s", "dodge_s", "margin_m", "closer_m"):
+            if getattr(self, name) < 0.0:
+                raise ValueError(f"{name} must be >= 0, got {getattr(self, name)}")
+
+
+def route_share(progress: Array) -> Array:
+    """Share of a route's length that is done at shares of its time; minimum jerk."""
+    s = np.clip(progress, 0.0, 1.0)
+    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
 
 
 def _along(corners: Array, share: float) -> tuple[Array, Array]:

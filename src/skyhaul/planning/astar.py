@@ -42,10 +42,12 @@ class AStar(Params):
     """Clearances less than this above the smallest cost more [m]."""
     band_weight: float = 1.0
     """How much more at the smallest clearance, as a share."""
-    heuristic: Literal["octile", "euclidean"] = "octile"
-    """Lower bound of the way that is left."""
+    heuristic: Literal["octile", "euclidean", "none"] = "octile"
+    """Lower bound of the way that is left; none makes it Dijkstra's search."""
     max_expanded: int = 150_000
     """Search budget [voxels]."""
+    moving_expanded: int = 30_000
+    """Search budget among movers, where waiting may do as well [voxels]."""
     relax_m: float = 1.5
     """A blocked start or goal is moved to the nearest free voxel within this distance [m]."""
     straight: bool = True
@@ -55,8 +57,9 @@ class AStar(Params):
         for name in ("clearance_m", "band_m", "band_weight", "relax_m"):
             if getattr(self, name) < 0.0:
                 raise ValueError(f"{name} must be >= 0, got {getattr(self, name)}")
-        if self.max_expanded < 1:
-            raise ValueError(f"max_expanded must be >= 1, got {self.max_expanded}")
+        for name in ("max_expanded", "moving_expanded"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be >= 1, got {getattr(self, name)}")
 
     def plan(
         self,
@@ -80,13 +83,15 @@ class AStar(Params):
         return self._finish(m, rules, self._two_levels(m, rules, p_WS, p_WG))
 
     def _rules(self, world_map: WorldMap, start_s: float, speed_mps: float) -> SearchRules:
+        moving = len(world_map.tracks) > 0
         return SearchRules(
             clearance=self.clearance_m,
             band=self.band_m,
             weight=self.band_weight if self.band_m > 0.0 else 0.0,
             octile=self.heuristic == "octile",
-            budget=self.max_expanded,
-            tubes=len(world_map.tracks) > 0,
+            informed=self.heuristic != "none",
+            budget=min(self.moving_expanded, self.max_expanded) if moving else self.max_expanded,
+            tubes=moving,
             start=start_s,
             speed=max(speed_mps, 1e-3),
         )

@@ -23,6 +23,7 @@ from skyhaul.planning.astar import AStar
 from skyhaul.planning.candidates import ACCEL_SHARE, MOVING_MPS, SPACING_M
 from skyhaul.planning.motion import Drive, run_along
 from skyhaul.planning.path import round_corners
+from skyhaul.planning.paths import PathSearch
 from skyhaul.planning.replan import capped
 from skyhaul.planning.verify import verify
 from skyhaul.types import US_PER_S, Array, TimeUs
@@ -84,7 +85,7 @@ class CubicPlanner(Params):
     """
 
     kind: Literal["cubic"] = "cubic"
-    astar: AStar = field(default_factory=AStar)
+    path: PathSearch = field(default_factory=AStar)
     """The path search."""
     spacing_m: float = 1.0
     """Distance of the waypoints, halved while the curve is not clear [m]."""
@@ -124,10 +125,10 @@ class CubicRoutePlanner:
         p_WG = np.asarray(p_WG, dtype=np.float64)
         speed, a = float(np.linalg.norm(v_WS)), ACCEL_SHARE * limits.a_max_mps2
         ahead = p_WS + v_WS * (0.5 * speed / a)  # where it could stop, straight on
-        path = self.params.astar.plan(world_map, ahead, p_WG, 0.7 * limits.v_max_mps, t_us)
+        path = self.params.path.plan(world_map, ahead, p_WG, 0.7 * limits.v_max_mps, t_us)
         if len(path.p_WP) == 0:
             return ReferencePlan(ReferenceStatus.NO_PATH, path, None)
-        m, least = world_map.arrays, self.params.astar.clearance_m
+        m, least = world_map.arrays, self.params.path.clearance_m
         corners = np.concatenate([p_WS[None], path.p_WP[0 if speed > MOVING_MPS else 1 :]])
         points = round_corners(m, corners, self.params.corner_m, least, SPACING_M)
         effort: Reference | None = None

@@ -20,6 +20,7 @@ from skyhaul.planning.api import (
 from skyhaul.planning.astar import AStar
 from skyhaul.planning.candidates import Departure, departure
 from skyhaul.planning.cost import is_better, reference_cost
+from skyhaul.planning.paths import PathSearch
 from skyhaul.planning.reference import SplineReference, remaining_time
 from skyhaul.planning.verify import verify
 from skyhaul.planning.ways import Paths, WayParams, Ways
@@ -39,7 +40,7 @@ class SplinePlanner(Params):
     """A*, shortcuts, rounded corners, speed profile, C6 spline; movers by their tubes."""
 
     kind: Literal["spline"] = "spline"
-    astar: AStar = field(default_factory=AStar)
+    path: PathSearch = field(default_factory=AStar)
     """The path search."""
     dt_s: float = 0.3
     """Knot spacing of the reference [s]; jerk stays near 0.5 (change of acceleration) / dt."""
@@ -89,7 +90,7 @@ class RoutePlanner:
         p_WG = np.asarray(p_WG, dtype=np.float64)
         limits = capped(limits, world_map)
         kept = self._kept(world_map, current, t_us, p_WG, limits)
-        paths = Paths(self.params.astar, p_WG)
+        paths = Paths(self.params.path, p_WG)
         results: list[ReferencePlan] = []
         for start in self._departures(world_map, current, t_us, limits):
             safe = kept is not None or any(r.status is ReferenceStatus.OK for r in results)
@@ -173,4 +174,3 @@ def capped(limits: Limits, world_map: WorldMap) -> Limits:
     a = limits.a_brake_mps2
     cap = a * (math.sqrt(REACTION_S**2 + 2.0 * ahead / a) - REACTION_S)
     return replace(limits, v_max_mps=min(limits.v_max_mps, cap))
-

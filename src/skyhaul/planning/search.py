@@ -28,6 +28,7 @@ class SearchRules(NamedTuple):
     band: float  # clearances below clearance + band cost more [m]
     weight: float  # factor of the cost at the inner edge of the band, minus 1
     octile: bool  # heuristic; else Euclidean
+    informed: bool  # False: no heuristic at all
     budget: int  # voxels to expand
     tubes: bool  # whether tracks count
     start: float  # when the load is at the start, after the map's stamp [s]
@@ -216,7 +217,10 @@ def search(
                 w.way[near] = way
             cost_of[near] = cost
             mark_of[near] = (mark & ~_PARENT) | (s + 1)
-            ahead = heuristic(goal[0] - i - di, goal[1] - j - dj, goal[2] - k - dk, rules.octile)
+            ahead = 0.0
+            if rules.informed:
+                di, dj, dk = goal[0] - i - di, goal[1] - j - dj, goal[2] - k - dk
+                ahead = heuristic(di, dj, dk, rules.octile)
             count = _push(keys, cells, count, cost + ahead * (1.0 + 1e-9), near)
     return NO_PATH, expanded
 

@@ -18,6 +18,8 @@ TASK_DT_US = 100_000
 """Knot spacing of the splines through circles and eights [us]."""
 LEG_DT_US = 300_000
 """Knot spacing of straight legs [us]."""
+LIFT_DT_US = 200_000
+"""Knot spacing of a lift-off: it is short, and slow, and nothing hangs on its snap [us]."""
 
 
 def task_reference(
@@ -136,5 +138,5 @@ def lift_reference(
     """Straight up (or down) from a place, (3,), by a height."""
     p = np.asarray(p_WL, dtype=np.float64)
     return leg_reference(
-        np.array([p, p + np.array([0.0, 0.0, height_m])]), yaw_rad, start_us, limits
+        np.array([p, p + np.array([0.0, 0.0, height_m])]), yaw_rad, start_us, limits, LIFT_DT_US
     )

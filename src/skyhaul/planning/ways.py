@@ -10,7 +10,6 @@ from skyhaul.mapping.api import WorldMap
 from skyhaul.mapping.clearance import clearances
 from skyhaul.params import Params
 from skyhaul.planning.api import Plan, PlanStatus, ReferencePlan, ReferenceStatus
-from skyhaul.planning.astar import AStar
 from skyhaul.planning.candidates import (
     ACCEL_SHARE,
     HARD_SHARE,
@@ -25,10 +24,9 @@ from skyhaul.planning.candidates import (
 )
 from skyhaul.planning.cost import way_cost
 from skyhaul.planning.detours import detours, posts
+from skyhaul.planning.paths import PathSearch
 from skyhaul.types import US_PER_S, Array
 
-MOVING_BUDGET = 30_000
-"""Voxels to expand in the search round movers."""
 POSTS = 4
 """Places to wait near the goal that are tried."""
 
@@ -73,7 +71,7 @@ def _cost(c: Candidate) -> float:
 class Paths:
     """Paths to the goal, searched once for all departures; they begin near the first of them."""
 
-    astar: AStar
+    search: PathSearch
     p_WG: Array
     _still: Plan | None = None
     _moving: Plan | None = None
@@ -81,28 +79,25 @@ class Paths:
     def still(self, start: Departure) -> Plan:
         """Among what stands."""
         if self._still is None:
-            world_map = replace(start.world_map, tracks=())
-            self._still = self._search(world_map, start, self.astar)
+            self._still = self._plan(replace(start.world_map, tracks=()), start)
         return self._still
 
     def moving(self, start: Departure) -> Plan:
-        """Round the tubes of the movers too; with less effort, as waiting may do as well."""
+        """Round the tubes of the movers too."""
         if self._moving is None:
-            budget = min(self.astar.max_expanded, MOVING_BUDGET)
-            astar = replace(self.astar, max_expanded=budget)
-            self._moving = self._search(start.world_map, start, astar)
+            self._moving = self._plan(start.world_map, start)
         return self._moving
 
-    def _search(self, world_map: WorldMap, s: Departure, astar: AStar) -> Plan:
+    def _plan(self, world_map: WorldMap, s: Departure) -> Plan:
         """A path from half the way to a stop on to the goal."""
         speed = self._typical_speed(s)
         start_us = s.t_us + round(US_PER_S * s.after_s)
         if s.speed_mps < MOVING_MPS:
-            return astar.plan(world_map, s.p_WS, self.p_WG, speed, start_us)
+            return self.search.plan(world_map, s.p_WS, self.p_WG, speed, start_us)
         ahead = s.p_WS + (0.5 * s.stop_m + 0.1) * s.v_WS / s.speed_mps
-        plan = astar.plan(world_map, ahead, self.p_WG, speed, start_us)
+        plan = self.search.plan(world_map, ahead, self.p_WG, speed, start_us)
         if plan.status is PlanStatus.START_BLOCKED:
-            plan = astar.plan(world_map, s.p_WS, self.p_WG, speed, start_us)
+            plan = self.search.plan(world_map, s.p_WS, self.p_WG, speed, start_us)
         return plan
 
     def _typical_speed(self, s: Departure) -> float:
@@ -200,7 +195,7 @@ class Ways:
         return bool(clearances(still, p, np.array([math.inf]))[0] > 0.02)
 
     def _points(self, path: Array, share: float, reach: float) -> Array:
-        clearance = self.paths.astar.clearance_m
+        clearance = self.paths.search.clearance_m
         return smooth(self.start, lead_in(self.start, path, share), reach, clearance)
 
     def _around(self, direct: Candidate) -> list[Candidate]:
