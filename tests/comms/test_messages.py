@@ -69,7 +69,7 @@ def test_a_plan_grows_with_nodes_and_vehicles(k, n):
 
 def test_a_plan_message_counts_forces_reference_and_headings():
     reference = resting_reference(np.zeros(3), 0.0, 0)
-    heading = fan_out(reference, 4, 0)
+    heading = fan_out(reference, np.arange(4) * np.pi / 2, 0)
     plan = force_plan(21, 4)
     message = PlanMessage(0, plan, reference, heading)
     parts = 8 + sum(encoded_bytes(part) for part in (plan, reference, heading))
@@ -85,5 +85,7 @@ def test_no_field_of_a_message_weighs_nothing():
         return [m]
 
     reference = resting_reference(np.zeros(3), 0.0, 0)
-    message = PlanMessage(0, force_plan(2, 3), reference, fan_out(reference, 3, 0))
+    message = PlanMessage(
+        0, force_plan(2, 3), reference, fan_out(reference, np.arange(3) * 2 * np.pi / 3, 0)
+    )
     assert all(encoded_bytes(leaf) > 0 for leaf in leaves(message))

@@ -263,9 +263,9 @@ class Leader:
         self.reference, self._reaches_goal = reference, reaches_goal
         self._pending.drop()
         self.forces.new_reference()
-        n = self._stack.team.count
         before = 0.0 if self._heading is None else self._heading
-        self._heading = fan_out(reference, n, t_us, before, self._stack.heading)
+        azimuths = self._stack.team.azimuths_rad
+        self._heading = fan_out(reference, azimuths, t_us, before, self._stack.heading)
         self._recorder.reference(t_us, reference)
 
     # Step 5: payload NMPC, when triggered -------------------------------------------------------

@@ -202,7 +202,8 @@ class VehicleAgent:
     ) -> Actuation:
         i, n = self.index, self._stack.team.count
         p_WD, v_WD, a_WD = (np.tile(row, (n, 1)) for row in target)
-        thrust, moment = self._stack.free_flight.step(estimate.team, p_WD, v_WD, a_WD, np.zeros(n))
+        outward = self._stack.team.azimuths_rad
+        thrust, moment = self._stack.free_flight.step(estimate.team, p_WD, v_WD, a_WD, outward)
         wrench = np.column_stack([thrust, moment])
         rotors = saturate_rotors(self._stack.arrays, wrench)
         nothing = np.zeros(3)
