@@ -14,7 +14,6 @@ from skyhaul.mission.phases import spool_share
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.station import Route, Setpoint, route_along, station_point
 from skyhaul.mission.tracking import SharedTracking
-from skyhaul.model.mixer import saturate_rotors
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.plant.api import PLANT_STEP_US
 from skyhaul.types import US_PER_S, Array, TimeUs
@@ -22,6 +21,8 @@ from skyhaul.types import US_PER_S, Array, TimeUs
 STATUS_PERIOD_US = 20_000
 """Time between two heartbeats of a vehicle [us]."""
 _DT_S = PLANT_STEP_US / US_PER_S
+_STATION_PHASES = (Phase.FLY_IN.value, Phase.TAUTEN.value)
+_LIFT = Phase.LIFT.value
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +62,24 @@ class VehicleAgent:
         for envelope in self._bus.receive(self.index, t_us):
             match envelope.payload:
                 case PlanMessage() as plan:
-                    self.plan = plan
+                    if plan.stamp_us > _stamp_us(self.plan):
+                        self.plan = plan
                 case Order() as order:
-                    self.order = order
+                    if order.stamp_us > _stamp_us(self.order):
+                        self.order = order
                 case Fault() as fault:
                     self.faulty |= {fault.vehicle}
                 case Status() as status:
                     statuses.append(status)
+                    self.faulty |= set(np.flatnonzero(status.faulty).tolist())
         return statuses
 
     def report(self, t_us: TimeUs, estimate: TeamEstimate) -> Status | None:
-        """Send the heartbeat when it is due, and a fault when there is a new one."""
+        """Send the heartbeat when it is due, and a fault when there is a new one.
+
+        Heartbeats repeat what is known of faults, so that a fault that is lost arrives with the
+        next of them, from whichever vehicle knows of it.
+        """
         i = self.index
         reason = self._new_fault(estimate)
         if reason is not None:
@@ -91,24 +99,29 @@ class VehicleAgent:
             at_station=self._arrived(),
             station_in_s=self._station_in_s(),
             on_way_s=0.0 if self._route is None else self._route.progress_s,
+            faulty=np.array([j in self.faulty for j in range(self._stack.team.count)]),
+            order_us=_stamp_us(self.order),
+            plan_us=_stamp_us(self.plan),
         )
         self._bus.publish(STATUS, i, t_us, status)
         return status
 
     def act(self, t_us: TimeUs, estimate: TeamEstimate) -> Actuation:
         """Steps 5 and 6 of Algorithm 1: turn the plan into rotor thrusts."""
-        order, i = self.order, self.index
-        if i in self.faulty:
+        order = self.order
+        if self.index in self.faulty:
             act = self._leave(estimate)
         elif order is None:
             act = self._idle()
-        elif order.phase in (Phase.FLY_IN.value, Phase.TAUTEN.value):
+        elif order.phase in _STATION_PHASES:
             act = self._to_station(estimate, retreat=order.retreat)
         elif self.plan is not None:
             act = self._carry(estimate, self.plan, self._share(t_us, order))
+        elif self._route is not None:
+            act = self._to_station(estimate, retreat=False)  # the plan is still on its way
         else:
             act = self._idle()
-        self._thrust_cmd = float(act.rotor_cmd.sum())
+        self._thrust_cmd = sum(act.rotor_cmd.tolist())
         return act
 
     def _new_fault(self, estimate: TeamEstimate) -> str | None:
@@ -127,7 +140,7 @@ class VehicleAgent:
 
     def _share(self, t_us: TimeUs, order: Order) -> float:
         """Share of the planned forces to pull with: all but at the beginning of the lift."""
-        if order.phase != Phase.LIFT.value:
+        if order.phase != _LIFT:
             return 1.0
         return spool_share(self._stack, (t_us - order.since_us) / US_PER_S)
 
@@ -200,13 +213,11 @@ class VehicleAgent:
     def _fly_free(
         self, estimate: TeamEstimate, target: Setpoint, *, attach: bool = False
     ) -> Actuation:
-        i, n = self.index, self._stack.team.count
-        p_WD, v_WD, a_WD = (np.tile(row, (n, 1)) for row in target)
-        thrust, moment = self._stack.free_flight.step(estimate.team, p_WD, v_WD, a_WD, np.zeros(n))
-        wrench = np.column_stack([thrust, moment])
-        rotors = saturate_rotors(self._stack.arrays, wrench)
+        rotors, thrust, moment = self._stack.free_flight.step_one(
+            estimate.team, self.index, target.p_WD, target.v_WD, target.a_WD
+        )
         nothing = np.zeros(3)
-        return Actuation(rotors[i], float(thrust[i]), moment[i], nothing, nothing, attach=attach)
+        return Actuation(rotors, thrust, moment, nothing, nothing, attach=attach)
 
     def _idle(self, *, release: bool = False) -> Actuation:
         nothing = np.zeros(3)
@@ -221,3 +232,8 @@ class VehicleAgent:
     def _arrived(self) -> bool:
         route = self._route
         return route is not None and self._stack.mission.station.arrived(route)
+
+
+def _stamp_us(message: Order | PlanMessage | None) -> TimeUs:
+    """Stamp of a message that a vehicle has; -1 while it has none."""
+    return -1 if message is None else message.stamp_us
