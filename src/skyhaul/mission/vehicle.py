@@ -8,8 +8,9 @@ import numpy as np
 from skyhaul.comms.api import Bus
 from skyhaul.comms.messages import FAULT, STATUS, Fault, Order, PlanMessage, Status
 from skyhaul.control.failure import Rotor
-from skyhaul.geometry.quaternion import quat_to_R
+from skyhaul.geometry.kernels import quat_rotate
 from skyhaul.mission.api import Phase
+from skyhaul.mission.loss import makeshift_plan
 from skyhaul.mission.phases import spool_share
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.station import Route, Setpoint, route_along, station_point
@@ -49,11 +50,15 @@ class VehicleAgent:
         self._stack, self._bus = stack, bus
         self._tracking = tracking
         self._watch = stack.fault_watch.init()
+        self._makeshift: tuple[PlanMessage, PlanMessage] | None = None
         self._route: Route | None = None
         self._creep_m = 0.0
         self._taut_s = 0.0
         self._thrust_cmd = 0.0
         arrays = stack.arrays
+        ends = [station_point(stack.team, np.zeros(3), np.eye(3), index, s) for s in (0.0, 1.0)]
+        self._hook_L, self._cable_L = ends[0], ends[1] - ends[0]
+        self._cable_m = float(stack.team.cable_lengths_m()[index])
         self._rotor = Rotor(float(arrays.thrust_max[index]), arrays.motor_lag)
 
     def hear(self, t_us: TimeUs) -> list[Status]:
@@ -116,7 +121,8 @@ class VehicleAgent:
         elif order.phase in _STATION_PHASES:
             act = self._to_station(estimate, retreat=order.retreat)
         elif self.plan is not None:
-            act = self._carry(estimate, self.plan, self._share(t_us, order))
+            plan = self._plan_without_the_lost(t_us, self.plan)
+            act = self._carry(estimate, plan, self._share(t_us, order))
         elif self._route is not None:
             act = self._to_station(estimate, retreat=False)  # the plan is still on its way
         else:
@@ -137,6 +143,15 @@ class VehicleAgent:
         if self.plan is not None and not estimate.attached[i]:
             return "its cable is off the load"
         return None
+
+    def _plan_without_the_lost(self, t_us: TimeUs, plan: PlanMessage) -> PlanMessage:
+        """The leader's plan, unless it counts on a vehicle that is known to be faulty."""
+        if not any(plan.plan.active[j] for j in self.faulty):
+            return plan
+        if self._makeshift is None or self._makeshift[0] is not plan:
+            active = np.array([j not in self.faulty for j in range(self._stack.team.count)])
+            self._makeshift = (plan, makeshift_plan(self._stack, plan, t_us, active))
+        return self._makeshift[1]
 
     def _share(self, t_us: TimeUs, order: Order) -> float:
         """Share of the planned forces to pull with: all but at the beginning of the lift."""
@@ -180,10 +195,10 @@ class VehicleAgent:
 
     def _station(self, estimate: TeamEstimate, creep_m: float) -> Array:
         """Place over the load with the cable a little slack, pushed out by the creep, (3,) [m]."""
-        i, stack = self.index, self._stack
-        share = stack.mission.station.slack_share + creep_m / stack.team.cable_lengths_m()[i]
-        R_WL = quat_to_R(estimate.team.q_WL)
-        return station_point(stack.team, estimate.team.p_WL, R_WL, i, share)
+        team, share = estimate.team, self._stack.mission.station.slack_share
+        out_L = self._hook_L + (share + creep_m / self._cable_m) * self._cable_L
+        station: Array = team.p_WL + quat_rotate(team.q_WL, out_L)
+        return station
 
     def _creep(self, estimate: TeamEstimate) -> Setpoint:
         """Push the station outward along the cable until the cable is taut."""
