@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from skyhaul.geometry.kernels import norm
+from skyhaul.jit import njit
 from skyhaul.model.team import Team
 from skyhaul.params import Params
 from skyhaul.types import Array
@@ -71,9 +73,9 @@ class StationParams(Params):
     def advance(self, route: Route, dt_s: float, *, forwards: bool) -> Route:
         """The route a little later."""
         wanted, slew = (1.0 if forwards else -1.0), 2.0 * dt_s / self.turn_s
-        rate = route.rate + float(np.clip(wanted - route.rate, -slew, slew))
+        rate = route.rate + min(max(wanted - route.rate, -slew), slew)
         end = self.duration_s(route)
-        progress = float(np.clip(route.progress_s + rate * dt_s, 0.0, end))
+        progress = min(max(route.progress_s + rate * dt_s, 0.0), end)
         at_end = (progress == end and rate > 0.0) or (progress == 0.0 and rate < 0.0)
         return replace(route, progress_s=progress, rate=0.0 if at_end else rate)
 
@@ -92,16 +94,29 @@ class StationParams(Params):
         return route.progress_s >= self.duration_s(route)
 
 
+@njit
 def _along(corners: Array, share: float) -> tuple[Array, Array]:
     """Point at a share of a polyline's length, and the tangent there."""
-    legs = np.diff(corners, axis=0)
-    lengths = np.linalg.norm(legs, axis=1)
-    ends = np.cumsum(lengths)
-    k = min(int(np.searchsorted(ends, share * ends[-1])), len(legs) - 1)
-    before = ends[k] - lengths[k]
-    tangent: Array = legs[k] / max(lengths[k], 1e-12)
-    point: Array = corners[k] + (share * ends[-1] - before) * tangent
+    last = corners.shape[0] - 2
+    total, before = 0.0, 0.0
+    for k in range(last + 1):
+        total += _leg(corners, k)
+    k = 0
+    while k < last and before + _leg(corners, k) < share * total:
+        before += _leg(corners, k)
+        k += 1
+    point, tangent, length = np.empty(3), np.empty(3), max(_leg(corners, k), 1e-12)
+    for c in range(3):
+        tangent[c] = (corners[k + 1, c] - corners[k, c]) / length
+        point[c] = corners[k, c] + (share * total - before) * tangent[c]
     return point, tangent
+
+
+@njit
+def _leg(corners: Array, k: int) -> float:
+    """Length of leg k of a polyline [m]."""
+    a, b = corners[k], corners[k + 1]
+    return norm((b[0] - a[0], b[1] - a[1], b[2] - a[2]))
 
 
 def station_point(team: Team, p_WL: Array, R_WL: Array, i: int, share: float) -> Array:
