@@ -8,16 +8,12 @@ with cost band and shortcuts. Cost is checked against Dijkstra on small grids. A
 planner on the paper's map, and the map's field, full and after one new cube.
 """
 
-import json
-import platform
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import numpy as np
+from provenance import provenance, write_report
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -36,7 +32,6 @@ from skyhaul.world.scenario import Scenario
 
 SEEDS = range(12)
 EXACT = AStar(clearance_m=0.0, band_m=0.0, straight=False, max_expanded=1_000_000)
-RESULT = Path(__file__).parent / "results" / "astar.json"
 
 
 def boxes(seed: int, n: int = 100) -> Mask:
@@ -139,14 +134,6 @@ def paper_cases() -> dict[str, float]:
     }
 
 
-def calibration_s() -> float:
-    """Time of five million iterations of pure Python [s]: how fast this machine is now."""
-    start, total = time.perf_counter(), 0
-    for i in range(5_000_000):
-        total += i
-    return time.perf_counter() - start
-
-
 def main() -> None:
     """Measure and write the result."""
     excess = max(excess_over_dijkstra(seed) for seed in SEEDS)
@@ -160,9 +147,6 @@ def main() -> None:
         ("clearance field, 140 x 140 x 130 voxels", paper["field_full_ms"], "ms", "<= 1000"),
         ("map after one new cube", paper["field_one_cube_ms"], "ms", "<= 60"),
     ]
-    commit = subprocess.run(
-        ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False
-    ).stdout.strip()
     report = {
         "claim": "A*: <= 10 ms on 100^3 with 30 % clutter and on the paper's map; cost exact",
         "rows": [dict(zip(("measure", "value", "unit", "bar"), r, strict=True)) for r in rows],
@@ -171,13 +155,9 @@ def main() -> None:
         "paper": paper,
         "seeds": list(SEEDS),
         "clock": "processor time of the thread",
-        "calibration_5e6_python_iterations_s": calibration_s(),
-        "machine": platform.platform(),
-        "python": sys.version.split()[0],
-        "commit": commit or "none",
+        **provenance(),
     }
-    RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(json.dumps(report, indent=1) + "\n")
+    write_report("astar", report)
     for name, value, unit, bar in rows:
         print(f"{name:50s} {value:10.3g} {unit:3s} {bar}")
 

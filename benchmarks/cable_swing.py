@@ -7,14 +7,11 @@ taut model, neighbouring cables swinging against each other, without and with 30
 """
 
 import json
-import platform
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from calibration import calibration_s
-from result_file import commit
+from provenance import provenance, write_report
 
 from skyhaul.control.api import ForcePlan
 from skyhaul.control.cable import CableGoal, cable_goal, cable_thrust_vector
@@ -36,7 +33,6 @@ from skyhaul.model import (
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.types import Array
 
-RESULT = Path(__file__).parent / "results" / "cable_swing.json"
 PERIOD_S, SWING_DEG, SECONDS, TICK_S = 2.5, 20.0, 7.5, 2e-3
 
 
@@ -143,13 +139,9 @@ def main() -> None:
         "law_alone_max_deg": law,
         "loop_without_lag_deg": {"max": rest[0], "rms": rest[1]},
         "loop_with_30_ms_lag_deg": {"max": lagged[0], "rms": lagged[1]},
-        "calibration_5e6_python_iterations_s": calibration,
-        "machine": platform.platform(),
-        "python": sys.version.split()[0],
-        "commit": commit(),
+        **provenance([calibration]),
     }
-    RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(json.dumps(report, indent=2) + "\n")
+    write_report("cable_swing", report)
     print(json.dumps(report, indent=2))
 
 

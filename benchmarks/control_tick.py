@@ -7,16 +7,13 @@ forces are within the limits and when they are not (random changes by 40 % of a 
 """
 
 import json
-import platform
 import statistics
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from calibration import calibration_s
-from result_file import commit
+from provenance import provenance, write_report
 
 from skyhaul.control.allocation import AllocationLimits, ForceLimits, distribute, wrench_weights
 from skyhaul.control.geometric import Geometric, hold_plan
@@ -33,7 +30,6 @@ from skyhaul.model import (
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.types import Array
 
-RESULT = Path(__file__).parent / "results" / "control_tick.json"
 REPEATS, SEEDS = 7, 200
 PLACE = np.array([0.0, 0.0, 2.0])
 
@@ -142,13 +138,9 @@ def main() -> None:
         "tick_us": ticks,
         "distribution_us": shares,
         "seeds": [0, SEEDS - 1],
-        "calibration_5e6_python_iterations_s": calibration,
-        "machine": platform.platform(),
-        "python": sys.version.split()[0],
-        "commit": commit(),
+        **provenance([calibration]),
     }
-    RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(json.dumps(report, indent=2) + "\n")
+    write_report("control_tick", report)
     print(json.dumps(report, indent=2))
 
 

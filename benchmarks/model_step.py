@@ -6,15 +6,11 @@ The reference is SciPy's DOP853 at a relative tolerance of 1e-13 on the same equ
 rates of 3 rad/s, cable rates of 2 rad/s and body rates of 6 rad/s; random thrusts and moments.
 """
 
-import json
-import platform
-import subprocess
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
+from provenance import provenance, write_report
 from scipy.integrate import solve_ivp
 
 from skyhaul.geometry.quaternion import quat_normalize
@@ -25,7 +21,6 @@ from skyhaul.types import Array
 DT_S = 0.01
 SEEDS = range(10)
 TRIALS = 20  # per seed
-RESULT = Path(__file__).parent / "results" / "model_step.json"
 
 
 def random_case(rng: np.random.Generator, team: Team) -> tuple[TautState, Array]:
@@ -106,14 +101,6 @@ def flatness_us() -> float:
     return micros(lambda: flat_outputs(team, p, R, np.zeros((4, 3))), 200)
 
 
-def calibration_s() -> float:
-    """Time of five million iterations of pure Python [s]: how fast this machine is now."""
-    start, total = time.perf_counter(), 0
-    for i in range(5_000_000):
-        total += i
-    return time.perf_counter() - start
-
-
 def main() -> None:
     """Measure all teams and write the result."""
     cases = {}
@@ -138,19 +125,9 @@ def main() -> None:
         "trials_per_seed": TRIALS,
         "cases": cases,
         "flat_outputs_60_times_us": flat,
-        "calibration_5e6_python_iterations_s": calibration_s(),
-        "machine": platform.platform(),
-        "python": sys.version.split()[0],
-        "commit": commit(),
+        **provenance(),
     }
-    RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(json.dumps(report, indent=2) + "\n")
-
-
-def commit() -> str:
-    """The commit that is checked out."""
-    command = ["git", "rev-parse", "--short", "HEAD"]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    write_report("model_step", report)
 
 
 if __name__ == "__main__":

@@ -10,18 +10,14 @@ starts of 60 solves each.
 
 import argparse
 import json
-import os
-import platform
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from calibration import calibration_s
 from load_loop import Eight, LoadLoop, Log, Orbits, Rest, empty_world, mover
-from result_file import commit
+from provenance import provenance, write_report
 
 from skyhaul.control.api import ControlRequest, SolveStatus
 from skyhaul.control.nmpc import Nmpc, NmpcMemory, PayloadNmpc, WrenchNmpc
@@ -33,7 +29,6 @@ from skyhaul.world.scenario import Limits
 SEEDS = range(5)
 WILD = range(200)
 PUSH = (0.05, 0.001)
-RESULT = Path(__file__).parent / "results" / "nmpc.json"
 
 
 class Timed:
@@ -181,18 +176,13 @@ def main() -> None:
         "wild_starts": wild,
         "setup_with_warm_caches_s": first,
         "seeds": list(SEEDS),
-        "calibration_5e6_python_iterations_s": [before, calibration_s()],
-        "load_average": os.getloadavg()[0],
-        "machine": platform.platform(),
-        "python": sys.version.split()[0],
-        "commit": commit(),
+        **provenance([before, calibration_s()]),
     }
     if not quick:
         report["rows"] = rows(flights, wild)
     print(json.dumps(report, indent=2))
     if not quick:
-        RESULT.parent.mkdir(exist_ok=True)
-        RESULT.write_text(json.dumps(report, indent=2) + "\n", "utf-8")
+        write_report("nmpc", report)
 
 
 if __name__ == "__main__":

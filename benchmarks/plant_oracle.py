@@ -5,17 +5,13 @@ Free swing: thrusts held at hover, load and cables start with random velocities.
 rest, thrusts and moments vary. Both without drag, wind and motor lag: then `model.step` is exact.
 """
 
-import json
-import platform
-import subprocess
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from provenance import provenance, write_report
 
 from skyhaul.geometry.quaternion import quat_conj, quat_log, quat_mul
 from skyhaul.geometry.shapes import pose_shapes
@@ -34,7 +30,6 @@ from skyhaul.world.scenario import AirStart, HoverTask, Room, Scenario, World
 DURATION_S = 5.0
 START = np.array([0.0, 0.0, 20.0])
 SEEDS = range(5)
-RESULT = Path(__file__).parent / "results" / "plant_oracle.json"
 
 
 def ideal_team(n: int, rigid: bool) -> Team:
@@ -159,12 +154,9 @@ def main() -> None:
         "seeds": list(SEEDS),
         "cases": cases,
         "snap_tension_n_after_0.15_m": {n: snap_tension(n, 0.15) for n in (3, 4)},
-        "machine": platform.platform(),
-        "python": sys.version.split()[0],
-        "commit": commit(),
+        **provenance(),
     }
-    RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(json.dumps(report, indent=2) + "\n")
+    write_report("plant_oracle", report)
 
 
 def snap_tension(n: int, drop_m: float) -> float:
@@ -214,12 +206,6 @@ def worst_of(key: str, runs: list[dict[str, float]]) -> float:
     """Largest, or for the tension smallest, value over the seeds."""
     values = [r[key] for r in runs]
     return min(values) if key == "min_tension_n" else max(values)
-
-
-def commit() -> str:
-    """The commit that is checked out."""
-    command = ["git", "rev-parse", "--short", "HEAD"]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
 
 if __name__ == "__main__":

@@ -6,15 +6,12 @@ the same run (5e6 iterations of pure Python).
 """
 
 import json
-import platform
 import statistics
-import subprocess
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
+from provenance import provenance, write_report
 
 from skyhaul.geometry.distance import bounding_radius
 from skyhaul.geometry.shapes import Box, Capsule, Shape, Sphere, pose_shapes
@@ -27,7 +24,6 @@ from skyhaul.types import Array
 from skyhaul.world.obstacles import CyclicPath, Obstacle
 from skyhaul.world.scenario import AirStart, HoverTask, Scenario, World
 
-RESULT = Path(__file__).parent / "results" / "plant_speed.json"
 REPEATS = 7
 START = np.array([5.0, 5.0, 5.0])
 
@@ -42,13 +38,6 @@ def cpu_us(call: Callable[[], object], count: int) -> dict[str, float]:
             call()
         rows.append(1e6 * (time.process_time() - begin) / count)
     return {"median": statistics.median(rows), "min": min(rows), "max": max(rows)}
-
-
-def calibration() -> None:
-    """5e6 iterations of pure Python."""
-    k = 0
-    while k < 5_000_000:
-        k += 1
 
 
 def obstacles(count: int, seed: int) -> tuple[Obstacle, ...]:
@@ -106,7 +95,6 @@ def main() -> None:
     steps = {m: step_us(m) for m in (0, 6, 20)}
     report = {
         "claim": "one plant step of 4 vehicles, truth and clearance included: <= 150 us CPU",
-        "calibration_ms": {k: v / 1e3 for k, v in cpu_us(calibration, 1).items()},
         "rows": [
             {
                 "measure": "plant step, 4 vehicles, 20 movers, clearance and truth included",
@@ -118,14 +106,9 @@ def main() -> None:
         "step_us": steps,
         "clearance_us": {m: clearance_us(m) for m in (6, 20)},
         "repeats": REPEATS,
-        "machine": f"{platform.platform()}, {platform.processor()}",
-        "python": sys.version.split()[0],
-        "commit": subprocess.run(
-            ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-        ).stdout.strip(),
+        **provenance(),
     }
-    RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(json.dumps(report, indent=2) + "\n")
+    write_report("plant_speed", report)
     print(json.dumps(report, indent=2))
 
 

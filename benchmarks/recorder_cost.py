@@ -7,15 +7,15 @@ of pure Python).
 """
 
 import json
-import platform
 import statistics
-import subprocess
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from provenance import provenance
+from provenance import write_report as save
 
 from skyhaul.comms.api import Envelope
 from skyhaul.control.api import ForcePlan, Solution, SolveStatus, VehicleCommand
@@ -29,16 +29,7 @@ from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.world.load import load_config
 from skyhaul.world.scenario import AirStart, HoverTask, Scenario
 
-RESULT = Path(__file__).parent / "results" / "recorder_cost.json"
 SPAN_US, REPEATS = 10_000_000, 5
-
-
-def calibration_ms() -> float:
-    """5e6 iterations of pure Python [ms]."""
-    begin, k = time.process_time(), 0
-    while k < 5_000_000:
-        k += 1
-    return 1e3 * (time.process_time() - begin)
 
 
 def tick_of(truth: Truth) -> Tick:
@@ -103,12 +94,8 @@ def main() -> None:
             write_report(folder)
             report_s = time.process_time() - begin
             sizes = {p.name: p.stat().st_size for p in sorted(folder.iterdir())}
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
     result = {
         "claim": "recording 4 vehicles at 500 Hz: <= 0.1 CPU s per simulated s",
-        "calibration_ms": calibration_ms(),
         "rows": [
             {
                 "measure": "recorder, 4 vehicles, 6 movers, 20 solves a second",
@@ -121,10 +108,9 @@ def main() -> None:
         "max": max(rows),
         "bytes_of_10_s": sizes,
         "report_cpu_s": report_s,
-        "machine": platform.machine(),
-        "commit": commit.stdout.strip() or "unknown",
+        **provenance(),
     }
-    RESULT.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    save("recorder_cost", result)
     print(json.dumps(result, indent=2))
 
 

@@ -2,20 +2,13 @@
 """The result file of a benchmark of flights: rows for the README, every flight, machine, commit."""
 
 import argparse
-import json
-import os
-import platform
 import statistics
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from fly import Flown
-
-RESULTS = Path(__file__).parent / "results"
+from provenance import provenance, write_report
 
 
 @dataclass(frozen=True)
@@ -48,27 +41,15 @@ def publish(result: Result, *, write: bool) -> None:
         print(f"{row.measure}: {_text(row.value)} {row.unit}  [{row.bar}]")
     if not write:
         return
-    calibration = [f.calibration_s for f in result.flights]
     report = {
         "claim": result.claim,
         "rows": [vars(row) for row in result.rows],
         **result.notes,
         "seeds": sorted({f.job.seed for f in result.flights}),
         "flights": [entry(f, result.keys) for f in result.flights],
-        "calibration_5e6_python_iterations_s": {
-            "median": statistics.median(calibration),
-            "min": min(calibration),
-            "max": max(calibration),
-        },
-        "load_average": os.getloadavg()[0],
-        "machine": platform.platform(),
-        "python": sys.version.split()[0],
-        "commit": commit(),
+        **provenance([f.calibration_s for f in result.flights]),
     }
-    RESULTS.mkdir(exist_ok=True)
-    path = RESULTS / f"{result.name}.json"
-    path.write_text(json.dumps(report, indent=2) + "\n", "utf-8")
-    print(f"-> {path}")
+    print(f"-> {write_report(result.name, report)}")
 
 
 def entry(flown: Flown, keys: Sequence[str]) -> dict[str, Any]:
@@ -122,13 +103,6 @@ def arguments(about: str, *flags: tuple[str, str]) -> argparse.Namespace:
     for flag, text in flags:
         parser.add_argument(flag, action="store_true", help=text)
     return parser.parse_args()
-
-
-def commit() -> str:
-    """The commit that is checked out, and whether files differ from it."""
-    command = ["git", "describe", "--always", "--dirty"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return done.stdout.strip() or "unknown"
 
 
 def _text(value: object) -> str:

@@ -10,7 +10,6 @@ report. Wall times hold for the load that the machine had meanwhile.
 import argparse
 import json
 import os
-import platform
 import resource
 import statistics
 import subprocess
@@ -22,7 +21,7 @@ from typing import Any
 
 from calibration import calibration_s
 from fly import THREADS
-from result_file import RESULTS, commit
+from provenance import provenance, write_report
 
 SEEDS = range(5)
 STAGES = "compute_cpu_s_"
@@ -89,13 +88,9 @@ def main() -> None:
         "rows": rows,
         "runs": runs,
         "seeds": [run["seed"] for run in runs],
-        "calibration_5e6_python_iterations_s": statistics.median(r["calibration_s"] for r in runs),
-        "load_average": os.getloadavg()[0],
-        "machine": platform.platform(),
-        "python": sys.version.split()[0],
-        "commit": commit(),
+        **provenance([run["calibration_s"] for run in runs]),
     }
-    (RESULTS / "run_speed.json").write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+    write_report("run_speed", result)
 
 
 def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:

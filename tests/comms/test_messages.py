@@ -50,9 +50,10 @@ def test_a_text_is_counted_in_bytes_not_in_letters():
     assert encoded_bytes("µm") == 3 + 5
 
 
-def test_a_heartbeat_is_two_numbers_two_vectors_tension_two_times_and_three_flags():
-    status = Status(0, 1, np.zeros(3), np.zeros(3), 0.6, True, True, False, 2.5, 0.5)
-    assert encoded_bytes(status) == 2 * 8 + 2 * 28 + 3 * 8 + 3
+def test_a_heartbeat_is_numbers_two_vectors_flags_and_what_its_vehicle_has_heard():
+    faulty = np.zeros(4, dtype=bool)
+    status = Status(0, 1, np.zeros(3), np.zeros(3), 0.6, True, True, False, 2.5, 0.5, faulty, 0, -1)
+    assert encoded_bytes(status) == 2 * 8 + 2 * 28 + 3 * 8 + 3 + (4 + 4) + 2 * 8
 
 
 def test_faults_and_orders_are_the_sum_of_their_parts():
@@ -69,7 +70,7 @@ def test_a_plan_grows_with_nodes_and_vehicles(k, n):
 
 def test_a_plan_message_counts_forces_reference_and_headings():
     reference = resting_reference(np.zeros(3), 0.0, 0)
-    heading = fan_out(reference, 4, 0)
+    heading = fan_out(reference, np.arange(4) * np.pi / 2, 0)
     plan = force_plan(21, 4)
     message = PlanMessage(0, plan, reference, heading)
     parts = 8 + sum(encoded_bytes(part) for part in (plan, reference, heading))
@@ -85,5 +86,7 @@ def test_no_field_of_a_message_weighs_nothing():
         return [m]
 
     reference = resting_reference(np.zeros(3), 0.0, 0)
-    message = PlanMessage(0, force_plan(2, 3), reference, fan_out(reference, 3, 0))
+    message = PlanMessage(
+        0, force_plan(2, 3), reference, fan_out(reference, np.arange(3) * 2 * np.pi / 3, 0)
+    )
     assert all(encoded_bytes(leaf) > 0 for leaf in leaves(message))

@@ -107,3 +107,17 @@ def test_bad_gains_are_refused():
         FreeFlight(tilt_max_deg=90.0)
     with pytest.raises(ValueError, match="yaw_damping must be > 0"):
         FreeFlight(yaw_damping=-1.0)
+
+
+@pytest.mark.parametrize("i", range(N))
+def test_one_vehicle_alone_is_told_the_same(i):
+    team, rng = Team(), np.random.default_rng(5)
+    goal = rng.normal(size=(3, N, 3))
+    state, yaw = at_rest(rng.normal(size=(N, 3))), rng.uniform(-3.0, 3.0, N)
+    flyer = FreeFlight().build(team)
+    thrust, moment = flyer.step(state, *goal, yaw)
+    rotors, alone, torque = flyer.step_one(state, i, goal[:, i], yaw[i])
+    together = saturate_rotors(team, np.column_stack([thrust, moment]))[i]
+    assert alone == thrust[i]
+    np.testing.assert_array_equal(torque, moment[i])
+    np.testing.assert_allclose(rotors, together, rtol=1e-12)

@@ -20,7 +20,7 @@ from skyhaul.types import LOAD_Q
 
 ALL = np.ones(4, dtype=bool)
 REST = resting_reference(np.array([0.0, 0.0, 1.5]), 0.0, 0)
-HEADING = fan_out(REST, 4, 0)
+HEADING = fan_out(REST, np.arange(4) * np.pi / 2, 0)
 
 
 class Answer:

@@ -145,6 +145,7 @@ def taut(i, t_us):
     return Status(
         stamp_us=t_us, vehicle=i, p_WB=np.zeros(3), v_WB=np.zeros(3), tension=0.5, taut=True,
         attached=True, at_station=True, station_in_s=0.0, on_way_s=1.0,
+        faulty=np.zeros(4, np.bool_), order_us=-1, plan_us=-1,
     )  # fmt: skip
 
 

@@ -37,7 +37,9 @@ def message_to(stack, make_estimate):
             world_map=None,
         )
         _, solution = stack.controller.solve(stack.controller.init(), request)
-        return PlanMessage(0, solution.plan, reference, fan_out(reference, N, 0))
+        return PlanMessage(
+            0, solution.plan, reference, fan_out(reference, np.arange(N) * 2 * np.pi / N, 0)
+        )
 
     return make
 

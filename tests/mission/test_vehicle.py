@@ -27,7 +27,7 @@ def plan_message(e, t_us=0):
     load = e.estimate(t_us).team.load
     reference = resting_reference(load[:3], 0.0, t_us)
     plan = spool_plan(e.stack, t_us, load, ALL)
-    return PlanMessage(t_us, plan, reference, fan_out(reference, 4, t_us))
+    return PlanMessage(t_us, plan, reference, fan_out(reference, np.arange(4) * np.pi / 2, t_us))
 
 
 def order(phase, t_us=0, since_us=0, *, active=ALL, retreat=False):

@@ -27,6 +27,9 @@ class Status:
     at_station: bool  # it has reached the place that the phase asks for
     station_in_s: float  # time until then; inf while it stands at its parking place [s]
     on_way_s: float  # how far it is on its way there [s]
+    faulty: Mask  # (n,) vehicles that it knows to carry no longer
+    order_us: TimeUs  # stamp of the order that it has; -1: none yet
+    plan_us: TimeUs  # stamp of the plan that it has; -1: none yet
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,6 @@ from skyhaul.control.allocation import (
     wrench_map,
     wrench_weights,
 )
-from skyhaul.control.vectors import decay
 from skyhaul.geometry.so3 import so3_exp
 from skyhaul.model.formation import formation_forces, hover_attitude
 from skyhaul.model.team import Team
@@ -248,7 +247,8 @@ class ThrustMonitor(Params):
             dt: Time since the last tick [s].
         """
         before = thrust if memory.expected is None else memory.expected
-        expected = before + decay(dt, rotor.lag_s) * (thrust_cmd - before)
+        keep = math.exp(-dt / rotor.lag_s) if rotor.lag_s > 0.0 else 0.0
+        expected = before + (1.0 - keep) * (thrust_cmd - before)
         missing = expected - thrust > self.gap_share * rotor.thrust_max_n
         lasted = memory.lasted_s + dt if missing else 0.0
         return MonitorMemory(expected, lasted), lasted > self.hold_s

@@ -79,15 +79,18 @@ def sample_plan(plan: ForcePlan, t_us: TimeUs) -> PlanSample:
         plan: The plan, K nodes, n cables.
         t_us: Time since the start of the run [us].
     """
-    n = plan.force_W.shape[1]
-    arrays = plan_arrays(plan)
+    return sample_arrays(plan_arrays(plan), 1e-6 * (t_us - plan.stamp_us))
+
+
+def sample_arrays(arrays: PlanArrays, t: float) -> PlanSample:
+    """`sample_plan` of a plan that is packed already, at t after its stamp [s]."""
+    n = arrays.force.shape[1]
     planned, forces, gain = np.empty(PLANNED_NX), np.empty((3, n, 3)), np.empty((n, 3, 12))
-    t = 1e-6 * (t_us - plan.stamp_us)
     sample_motion(arrays, t, planned)
     sample_forces(arrays, t, forces)
     sample_gain(arrays, t, gain)
     k, s, _ = _locate(arrays.node, t)
-    last = min(k + 1, len(plan.node_s) - 1)
+    last = min(k + 1, len(arrays.node) - 1)
     return PlanSample(
         load=planned[:13].copy(),
         accel_W=planned[13:16].copy(),
@@ -95,7 +98,7 @@ def sample_plan(plan: ForcePlan, t_us: TimeUs) -> PlanSample:
         dforce_W=forces[1].copy(),
         ddforce_W=forces[2].copy(),
         gain=gain,
-        thrust=(1.0 - s) * plan.thrust[k] + s * plan.thrust[last],
+        thrust=(1.0 - s) * arrays.thrust[k] + s * arrays.thrust[last],
     )
 
 

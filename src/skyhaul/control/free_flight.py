@@ -12,6 +12,7 @@ from skyhaul.control.vectors import add, axpy, capped, put, row, scaled, sub
 from skyhaul.control.vehicle_loop import limit_tilt
 from skyhaul.geometry.kernels import Vec3Out, dot, norm, quat_to_R
 from skyhaul.jit import njit
+from skyhaul.model.mixer import saturate_rotors_kernel
 from skyhaul.model.state import TeamState
 from skyhaul.model.team import Team, TeamArrays
 from skyhaul.params import Params
@@ -115,6 +116,24 @@ class FreeFlyer:
         fly_to(self.arrays, self.gains, x, goal, headings, thrust, moment)
         return thrust, moment
 
+    def step_one(
+        self, team: TeamState, i: int, goal_W: Array, yaw_rad: float
+    ) -> tuple[Array, float, Array]:
+        """Rotor thrusts (4,) [N], thrust [N] and moment (3,) [N m] of vehicle i alone.
+
+        Args:
+            team: State of the team, of which vehicle i counts.
+            i: Which vehicle.
+            goal_W: Position, velocity and acceleration wanted, (3, 3) [m, m/s, m/s^2].
+            yaw_rad: Heading wanted [rad].
+        """
+        x, goal, wrench, rotors = np.empty(13), np.zeros((4, 3)), np.empty(4), np.empty(4)
+        x[0:3], x[3:7], x[7:10] = team.p_WB[i], team.q_WB[i], team.v_WB[i]
+        x[10:13] = team.w_WB_B[i]
+        goal[:3] = goal_W
+        fly_one(self.arrays, self.gains, i, x, goal, yaw_rad, wrench, rotors)
+        return rotors, float(wrench[0]), wrench[1:]
+
 
 @njit
 def fly_to(
@@ -139,26 +158,55 @@ def fly_to(
         thrust: (n,) [N], written.
         moment: Body axes, (n, 3) [N m], written.
     """
+    for i in range(x.shape[0]):
+        thrust[i], torque = _wrench(team, gains, i, x[i], goal[i], yaw[i])
+        put(moment, i, torque)
+
+
+@njit
+def fly_one(
+    team: TeamArrays,
+    gains: FreeFlightGains,
+    i: int,
+    x: Array,
+    goal: Array,
+    yaw: float,
+    wrench: Array,
+    rotors: Array,
+) -> None:
+    """`fly_to` for vehicle i alone: x (13,), goal (4, 3); writes wrench and rotors, (4,) each."""
+    n = team.m_B.shape[0]
+    asked, given = np.zeros((n, 4)), np.empty((n, 4))
+    thrust, torque = _wrench(team, gains, i, x, goal, yaw)
+    asked[i, 0], asked[i, 1], asked[i, 2], asked[i, 3] = thrust, torque[0], torque[1], torque[2]
+    saturate_rotors_kernel(team, asked, given)
+    wrench[:], rotors[:] = asked[i], given[i]
+
+
+@njit
+def _wrench(
+    team: TeamArrays, gains: FreeFlightGains, i: int, x: Array, goal: Array, yaw: float
+) -> tuple[float, Vec3Out]:
+    """Thrust and moment of vehicle i, see `fly_to`: x (13,), goal (4, 3)."""
     R_WB, R_WD = np.empty((3, 3)), np.empty((3, 3))
     zero = (0.0, 0.0, 0.0)
-    for i in range(x.shape[0]):
-        v: Vec3Out = (x[i, 7], x[i, 8], x[i, 9])
-        e_p, e_v = sub((x[i, 0], x[i, 1], x[i, 2]), row(goal[i], 0)), sub(v, row(goal[i], 1))
-        back = axpy(gains.position[0], e_p, scaled(gains.position[1], e_v))
-        a = sub(row(goal[i], 2), capped(back, gains.accel_max))
-        m = team.m_B[i]
-        u = axpy(m, add(a, (0.0, 0.0, team.g)), axpy(gains.drag, v, scaled(-1.0, row(goal[i], 3))))
-        u = limit_tilt(u, 0.2 * m * team.g, gains.tilt_max)
-        quat_to_R(x[i, 3:7], R_WB)
-        b3 = scaled(1.0 / norm(u), u)
-        desired_attitude(b3, _heading(R_WB, yaw[i]), R_WD)
-        J = row(team.J_B, i)
-        k_R = (gains.attitude[0] * J[0], gains.attitude[0] * J[1], gains.yaw[0] * J[2])
-        k_w = (gains.attitude[1] * J[0], gains.attitude[1] * J[1], gains.yaw[1] * J[2])
-        w = (x[i, 10], x[i, 11], x[i, 12])
-        put(moment, i, attitude_moment_kernel(R_WB, w, (R_WD, zero, zero), J, (k_R, k_w)))
-        lift = dot(u, (R_WB[0, 2], R_WB[1, 2], R_WB[2, 2]))
-        thrust[i] = min(max(lift, team.thrust_min[i]), team.thrust_max[i])
+    v: Vec3Out = (x[7], x[8], x[9])
+    e_p, e_v = sub((x[0], x[1], x[2]), row(goal, 0)), sub(v, row(goal, 1))
+    back = axpy(gains.position[0], e_p, scaled(gains.position[1], e_v))
+    a = sub(row(goal, 2), capped(back, gains.accel_max))
+    m = team.m_B[i]
+    u = axpy(m, add(a, (0.0, 0.0, team.g)), axpy(gains.drag, v, scaled(-1.0, row(goal, 3))))
+    u = limit_tilt(u, 0.2 * m * team.g, gains.tilt_max)
+    quat_to_R(x[3:7], R_WB)
+    b3 = scaled(1.0 / norm(u), u)
+    desired_attitude(b3, _heading(R_WB, yaw), R_WD)
+    J = row(team.J_B, i)
+    k_R = (gains.attitude[0] * J[0], gains.attitude[0] * J[1], gains.yaw[0] * J[2])
+    k_w = (gains.attitude[1] * J[0], gains.attitude[1] * J[1], gains.yaw[1] * J[2])
+    w = (x[10], x[11], x[12])
+    torque = attitude_moment_kernel(R_WB, w, (R_WD, zero, zero), J, (k_R, k_w))
+    lift = dot(u, (R_WB[0, 2], R_WB[1, 2], R_WB[2, 2]))
+    return min(max(lift, team.thrust_min[i]), team.thrust_max[i]), torque
 
 
 @njit

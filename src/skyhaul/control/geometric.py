@@ -13,7 +13,20 @@ from skyhaul.model.flatness import flat_outputs
 from skyhaul.model.formation import formation
 from skyhaul.model.team import Team
 from skyhaul.params import Params
-from skyhaul.types import ERR_P, ERR_R, ERR_V, ERR_W, LOAD_P, LOAD_Q, LOAD_V, LOAD_W, Array, Mask
+from skyhaul.planning.api import Reference
+from skyhaul.types import (
+    ERR_P,
+    ERR_R,
+    ERR_V,
+    ERR_W,
+    LOAD_P,
+    LOAD_Q,
+    LOAD_V,
+    LOAD_W,
+    Array,
+    Mask,
+    TimeUs,
+)
 from skyhaul.world.scenario import Limits
 
 
@@ -67,13 +80,7 @@ class GeometricController:
     def solve(self, memory: None, request: ControlRequest) -> tuple[None, Solution]:
         """The flat plan along the reference; the measured load enters by the feedback alone."""
         begin = time.perf_counter()
-        p = self.params
-        node_s = np.arange(0.0, p.horizon_s + 0.5 * p.node_s, p.node_s)
-        t_us = request.stamp_us + np.rint(1e6 * node_s).astype(np.int64)
-        sample = request.reference.sample(t_us)
-        plan = flat_plan(
-            self.team, request.stamp_us, node_s, (sample.p_WD, sample.R_WD), request.active, p
-        )
+        plan = self.plan(request.reference, request.stamp_us, request.active)
         wall_ms = 1e3 * (time.perf_counter() - begin)
         solution = Solution(
             status=SolveStatus.OK,
@@ -84,6 +91,13 @@ class GeometricController:
             wall_ms=wall_ms,
         )
         return None, solution
+
+    def plan(self, reference: Reference, stamp_us: TimeUs, active: Mask) -> ForcePlan:
+        """The flat plan along a reference from a time on, by the cables that carry, (n,)."""
+        p = self.params
+        node_s = np.arange(0.0, p.horizon_s + 0.5 * p.node_s, p.node_s)
+        sample = reference.sample(stamp_us + np.rint(1e6 * node_s))
+        return flat_plan(self.team, stamp_us, node_s, (sample.p_WD, sample.R_WD), active, p)
 
 
 def flat_plan(

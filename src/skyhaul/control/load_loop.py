@@ -22,7 +22,7 @@ from skyhaul.geometry.kernels import Vec3Out, cross, quat_inv_rotate, quat_rotat
 from skyhaul.jit import njit
 from skyhaul.model.team import TeamArrays
 from skyhaul.perception.api import TeamEstimate
-from skyhaul.types import Array
+from skyhaul.types import Array, Mask
 
 ESTIMATE_NX = 23
 """Columns of a packed estimate (1 + n, 23): row 0 is the load, row 1 + i vehicle i. Pose and motion
@@ -62,14 +62,33 @@ def pack_estimate(estimate: TeamEstimate) -> Array:
     """An estimate as one array for the kernels, (1 + n, `ESTIMATE_NX`)."""
     team, cables = estimate.team, estimate.cables
     out = np.zeros((team.n + 1, ESTIMATE_NX))
-    out[0, 0:3], out[0, 3:7] = team.p_WL, team.q_WL
-    out[0, 7:10], out[0, 10:13] = team.v_WL, team.w_WL_L
-    out[1:, 0:3], out[1:, 3:7] = team.p_WB, team.q_WB
-    out[1:, 7:10], out[1:, 10:13] = team.v_WB, team.w_WB_B
-    out[1:, 13:16], out[1:, 16:19] = cables.dir_W, cables.w_W
-    out[1:, 19], out[1:, 20] = cables.tension, cables.length
-    out[1:, 21], out[1:, 22] = estimate.thrust, estimate.attached
+    load = (team.p_WL, team.q_WL, team.v_WL, team.w_WL_L)
+    vehicles = (team.p_WB, team.q_WB, team.v_WB, team.w_WB_B)
+    lines = (cables.dir_W, cables.w_W, cables.tension, cables.length)
+    _pack(load, vehicles, lines, estimate.thrust, estimate.attached, out)
     return out
+
+
+_Four = tuple[Array, Array, Array, Array]
+
+
+@njit
+def _pack(
+    load: _Four, vehicles: _Four, cables: _Four, thrust: Array, attached: Mask, out: Array
+) -> None:
+    for c in range(3):
+        out[0, c], out[0, 7 + c], out[0, 10 + c] = load[0][c], load[2][c], load[3][c]
+    for c in range(4):
+        out[0, 3 + c] = load[1][c]
+    for i in range(thrust.shape[0]):
+        x = out[1 + i]
+        for c in range(3):
+            x[c], x[7 + c], x[10 + c] = vehicles[0][i, c], vehicles[2][i, c], vehicles[3][i, c]
+            x[13 + c], x[16 + c] = cables[0][i, c], cables[1][i, c]
+        for c in range(4):
+            x[3 + c] = vehicles[1][i, c]
+        x[19], x[20], x[21] = cables[2][i], cables[3][i], thrust[i]
+        x[22] = 1.0 if attached[i] else 0.0
 
 
 @njit

@@ -181,11 +181,9 @@ class CableTracker:
         scale: float,
         which: tuple[int, int],
     ) -> tuple[VehicleMemory, VehicleCommand]:
-        if memory.plan is not plan or memory.arrays is None or memory.load is None:
-            load = self._load_loop(plan, memory)
-            memory = memory._replace(plan=plan, arrays=plan_arrays(plan), load=load)
-        assert memory.arrays is not None
-        assert memory.load is not None
+        arrays, load = memory.arrays, memory.load
+        if memory.plan is not plan or arrays is None or load is None:
+            arrays, load = plan_arrays(plan), self._load_loop(plan, memory)
         n, last = len(yaw_W), memory.stamp_us
         elapsed = PLANT_STEP_US if last is None else max(1, estimate.stamp_us - last)
         x = pack_estimate(estimate)
@@ -195,13 +193,11 @@ class CableTracker:
         wanted = Wanted(np.empty((3, n, 3)), np.empty(6), np.empty(n), np.empty(6), disturbance)
         out = Output(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 4)), memory.vehicles.copy())
         clock = (1e-6 * (estimate.stamp_us - plan.stamp_us), 1e-6 * elapsed, float(scale))
-        params = (self.arrays, memory.load, self.loop)
+        params = (self.arrays, load, self.loop)
         headings = np.array(yaw_W, dtype=np.float64)
-        fly_vehicles(params, x, memory.arrays, clock, headings, which, wanted, out)
+        fly_vehicles(params, x, arrays, clock, headings, which, wanted, out)
         out.rotor_cmd[: which[0]] = out.rotor_cmd[which[1] :] = 0.0
-        memory = memory._replace(
-            stamp_us=estimate.stamp_us, vehicles=out.memory, disturbance=disturbance
-        )
+        memory = VehicleMemory(estimate.stamp_us, out.memory, disturbance, plan, arrays, load)
         command = VehicleCommand(
             thrust=out.thrust,
             moment_B=out.moment,

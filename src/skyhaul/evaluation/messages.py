@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leaves of ROS 2 messages (see `ros2.cdr`) from the objects of a flight."""
 
+from functools import cache
 from typing import Any
 
-from skyhaul.geometry.kernels import quat_inv_rotate
-from skyhaul.geometry.quaternion import R_to_quat
+import numpy as np
+
+from skyhaul.geometry.kernels import R_to_quat, quat_inv_rotate
 from skyhaul.geometry.shapes import BOX, CAPSULE, SPHERE, Shape, shape_size
 from skyhaul.model.team import Team
 from skyhaul.perception.api import Track
@@ -95,11 +97,17 @@ def team_markers(t_us: TimeUs, team: Team, load: Array, p_WB: Array, q_WB: Array
     return (out,)
 
 
+@cache
+def _posture(shape: Shape) -> tuple[int, Array, Array, Array]:
+    """Kind, sizes, rotation and quaternion of a shape, which keeps them."""
+    kind, size, R = shape_size(shape)
+    return kind, size, R, np.array(R_to_quat(R))
+
+
 def obstacle_markers(t_us: TimeUs, ns: str, index: int, shape: Shape, p: Array) -> list[Leaves]:
     """One obstacle; a capsule takes three markers."""
-    kind, size, R = shape_size(shape)
+    kind, size, R, q = _posture(shape)
     rgba = (*(MOVER_COLOR if ns == "mover" else STATIC_COLOR), 0.9)
-    q = R_to_quat(R)
     if kind == SPHERE:
         d = 2.0 * float(size[0])
         return [marker(t_us, ns, 3 * index, SPHERE_MARKER, pose(p, q), (d, d, d), rgba)]
@@ -139,6 +147,6 @@ def track(item: Track) -> Leaves:
     name = {SPHERE: "sphere", BOX: "box", CAPSULE: "capsule"}[kind]
     return (
         *stamp(item.stamp_us), item.track_id, name, *size.tolist(),
-        *pose(item.p_WO, R_to_quat(item.R_WO)), *item.v_WO.tolist(), item.covariance.ravel(),
-        item.tube_base_m, item.growth_mps,
+        *pose(item.p_WO, np.array(R_to_quat(item.R_WO))), *item.v_WO.tolist(),
+        item.covariance.ravel(), item.tube_base_m, item.growth_mps,
     )  # fmt: skip

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Takes a flight down into its run folder."""
 
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -19,7 +21,7 @@ from skyhaul.mapping.api import WorldMap
 from skyhaul.mission.api import AIRBORNE, Outcome, Phase, Replan, Solve, Tick, Trigger
 from skyhaul.planning.api import Reference
 from skyhaul.plant.api import PLANT_STEP_US
-from skyhaul.types import US_PER_S, Array, Mask, TimeUs
+from skyhaul.types import US_PER_S, TimeUs
 from skyhaul.world.scenario import Scenario
 
 GROUP_ROWS = 250
@@ -45,10 +47,8 @@ class RunRecorder:
         obstacles = config.world.obstacles
         moving = [j for j, o in enumerate(obstacles) if o.motion.kind != "static" or o.appears]
         self._layout = Layout(n, tuple(moving))
-        self._columns = {k: b.columns for k, b in self._layout.blocks.items()}
         self._movers = np.array(moving, dtype=np.int64)
-        self._rows = np.full((GROUP_ROWS, len(self._layout.names)), np.nan)
-        self._filled = 0
+        self._rows: list[Row] = []
         self._states = GrowingParquet(path / folder.STATES, _schema(self._layout))
         self._log = McapLog(path / folder.LOG)
         self._team_log = TeamLog(self._log, config, self._movers)
@@ -139,60 +139,74 @@ class RunRecorder:
         self._events.phase(t_us, phase, airborne)
 
     def _add_row(self, tick: Tick) -> None:
-        row, truth, e = self._rows[self._filled], tick.truth, self._extremes
-        team, cables, command = truth.team, truth.cables, tick.command
-        movers = self._movers
-        values: tuple[tuple[str, Array | Mask | float], ...] = (
-            ("t", truth.stamp_us),
-            ("phase", PHASES.index(tick.phase)),
-            ("airborne", self._airborne),
-            ("clearance_min", e.team[extremes.CLEARANCE]),
-            ("vehicle_distance_min", e.team[extremes.DISTANCE]),
-            ("rotor_energy", e.team[extremes.ENERGY]),
-            ("slack", e.team[extremes.SLACK]),
-            ("load", team.load),
-            ("ref", tick.reference),
-            ("est", tick.estimate.team.load),
-            ("wind", truth.wind_W),
-            ("vehicle_p", team.p_WB),
-            ("vehicle_q", team.q_WB),
-            ("vehicle_v", team.v_WB),
-            ("vehicle_w", team.w_WB_B),
-            ("vehicle_rotor", truth.rotor_thrust),
-            ("vehicle_rotor_cmd", tick.rotor_cmd),
-            ("vehicle_moment_cmd", command.moment_B),
-            ("vehicle_thrust_max", e.thrust_max),
-            ("vehicle_thrust_cmd", command.thrust),
-            ("vehicle_thrust_plan", tick.planned_thrust),
-            ("vehicle_alive", truth.alive),
-            ("cable_dir", cables.dir_W),
-            ("cable_w", cables.w_W),
-            ("cable_dir_flat", tick.flat_cable_dir_W),
-            ("cable_force_cmd", command.force_W),
-            ("cable_force_plan", tick.planned_force_W),
-            ("cable_tension", cables.tension),
-            ("cable_tension_min", e.tension_min),
-            ("cable_tension_max", e.tension_max),
-            ("cable_length", cables.length),
-            ("cable_attached", truth.attached),
-            ("obstacle_p", truth.obstacles.p_WO[movers]),
-            ("obstacle_present", truth.present[movers]),
-        )
-        columns = self._columns
-        for key, value in values:
-            row[columns[key]] = value.ravel() if isinstance(value, np.ndarray) else value
+        """Keep what the row is made of; messages never change, extremes do."""
+        e = self._extremes
+        copied = extremes.Extremes(*(a.copy() for a in e))
+        self._rows.append(Row(tick, self._airborne, copied))
         extremes.restart(e, keep_clearance=False)
-        self._filled += 1
-        if self._filled == GROUP_ROWS:
+        if len(self._rows) == GROUP_ROWS:
             self._flush()
 
     def _flush(self) -> None:
         """Write the rows so far; extremes without a case are infinite and become nan."""
-        if self._filled:
-            rows = self._rows[: self._filled]
-            rows[np.isinf(rows)] = np.nan
-            self._states.append(rows)
-            self._filled = 0
+        if not self._rows:
+            return
+        table = np.empty((len(self._rows), len(self._layout.names)))
+        for key, block in self._layout.blocks.items():
+            values = np.array([_QUANTITIES[key](row) for row in self._rows], dtype=np.float64)
+            if key.startswith("obstacle"):
+                values = values[:, self._movers]
+            table[:, block.columns] = values.reshape(len(table), -1)
+        table[np.isinf(table)] = np.nan
+        self._states.append(table)
+        self._rows.clear()
+
+
+class Row(NamedTuple):
+    """What one row is made of."""
+
+    tick: Tick
+    airborne: bool
+    extremes: extremes.Extremes
+
+
+_QUANTITIES: dict[str, Callable[[Row], object]] = {
+    "t": lambda r: r.tick.truth.stamp_us,
+    "phase": lambda r: PHASES.index(r.tick.phase),
+    "airborne": lambda r: r.airborne,
+    "clearance_min": lambda r: r.extremes.team[extremes.CLEARANCE],
+    "vehicle_distance_min": lambda r: r.extremes.team[extremes.DISTANCE],
+    "rotor_energy": lambda r: r.extremes.team[extremes.ENERGY],
+    "slack": lambda r: r.extremes.team[extremes.SLACK],
+    "load": lambda r: r.tick.truth.team.load,
+    "ref": lambda r: r.tick.reference,
+    "est": lambda r: r.tick.estimate.team.load,
+    "wind": lambda r: r.tick.truth.wind_W,
+    "vehicle_p": lambda r: r.tick.truth.team.p_WB,
+    "vehicle_q": lambda r: r.tick.truth.team.q_WB,
+    "vehicle_v": lambda r: r.tick.truth.team.v_WB,
+    "vehicle_w": lambda r: r.tick.truth.team.w_WB_B,
+    "vehicle_rotor": lambda r: r.tick.truth.rotor_thrust,
+    "vehicle_rotor_cmd": lambda r: r.tick.rotor_cmd,
+    "vehicle_moment_cmd": lambda r: r.tick.command.moment_B,
+    "vehicle_thrust_max": lambda r: r.extremes.thrust_max,
+    "vehicle_thrust_cmd": lambda r: r.tick.command.thrust,
+    "vehicle_thrust_plan": lambda r: r.tick.planned_thrust,
+    "vehicle_alive": lambda r: r.tick.truth.alive,
+    "cable_dir": lambda r: r.tick.truth.cables.dir_W,
+    "cable_w": lambda r: r.tick.truth.cables.w_W,
+    "cable_dir_flat": lambda r: r.tick.flat_cable_dir_W,
+    "cable_force_cmd": lambda r: r.tick.command.force_W,
+    "cable_force_plan": lambda r: r.tick.planned_force_W,
+    "cable_tension": lambda r: r.tick.truth.cables.tension,
+    "cable_tension_min": lambda r: r.extremes.tension_min,
+    "cable_tension_max": lambda r: r.extremes.tension_max,
+    "cable_length": lambda r: r.tick.truth.cables.length,
+    "cable_attached": lambda r: r.tick.truth.attached,
+    "obstacle_p": lambda r: r.tick.truth.obstacles.p_WO,
+    "obstacle_present": lambda r: r.tick.truth.present,
+}
+"""How each block of the layout is read from a row."""
 
 
 def _schema(layout: Layout) -> pa.Schema:

@@ -2,24 +2,31 @@
 """All agents of a flight in one process, and which of them leads."""
 
 from skyhaul.comms.api import Bus
+from skyhaul.comms.messages import ORDER, PLAN
+from skyhaul.comms.repeat import RepeatingBus
 from skyhaul.mission.api import Recorder
 from skyhaul.mission.leader import Leader
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.mission.tracking import SharedTracking
-from skyhaul.mission.vehicle import VehicleAgent
+from skyhaul.mission.vehicle import STATUS_PERIOD_US, VehicleAgent
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.types import TimeUs
 
 
 class Crew:
-    """The agents, and the leader's role, held by the lowest vehicle that is not faulty."""
+    """The agents, and the leader's role, held by the lowest vehicle that is not faulty.
+
+    The leader's orders and plans are sent until every vehicle that carries has them.
+    """
 
     def __init__(self, stack: Stack, bus: Bus, recorder: Recorder, watch: Stopwatch) -> None:
         n = stack.team.count
         tracking = SharedTracking(stack.vehicle_control, n)
         self.agents = [VehicleAgent(i, stack, bus, tracking) for i in range(n)]
-        self.leader = Leader(stack, 0, bus, recorder, watch)
+        self._orders = RepeatingBus(bus)
+        self.leader = Leader(stack, 0, self._orders, recorder, watch)
+        self._faulty: frozenset[int] = frozenset()
 
     def communicate(self, t_us: TimeUs, estimate: TeamEstimate) -> Leader:
         """Exchange messages; returns the leader, who may have changed."""
@@ -29,7 +36,15 @@ class Crew:
         if chief.index != self.leader.index:
             self.leader.take_over(chief.index, chief.plan)
         statuses = [s for s in (*heard[chief.index], own[chief.index]) if s is not None]
-        self.leader.hear(t_us, statuses, chief.faulty)
+        for status in statuses:
+            held = {ORDER: status.order_us, PLAN: status.plan_us}
+            self._orders.confirm(status.vehicle, held)
+        if statuses or chief.faulty != self._faulty:
+            self.leader.hear(t_us, statuses, chief.faulty)
+            self._faulty = chief.faulty
+        if t_us % STATUS_PERIOD_US == 0:
+            carrying = [a.index for a in self.agents if a.index not in chief.faulty]
+            self._orders.repeat(t_us, chief.index, carrying)
         return self.leader
 
     def tell_leading_vehicle(self) -> None:

@@ -8,10 +8,11 @@ from skyhaul.control.api import ControlRequest, ForcePlan, Solution, SolveStatus
 from skyhaul.control.force_plan import (
     PLANNED_NX,
     PlanArrays,
+    PlanSample,
     load_error,
     plan_arrays,
+    sample_arrays,
     sample_motion,
-    sample_plan,
 )
 from skyhaul.control.geometric import GeometricController
 from skyhaul.geometry.quaternion import quat_exp, quat_mul, quat_to_R
@@ -38,6 +39,9 @@ from skyhaul.types import (
     Mask,
     TimeUs,
 )
+
+LOOK_PERIOD_US = 10_000
+"""The load is held against its plan this often; faults and new references do not wait [us]."""
 
 
 class ForcePlanning:
@@ -69,7 +73,8 @@ class ForcePlanning:
 
     def due(self, t_us: TimeUs, estimate: TeamEstimate, clearance_m: float) -> str | None:
         """Why the plan must be solved anew, or None; `clearance_m` is the least one ahead."""
-        if self._pending.busy:
+        urgent = self._fault or self._reference_changed
+        if self._pending.busy or (t_us % LOOK_PERIOD_US and not urgent):
             return None
         if self.message is None:
             return "start"
@@ -115,6 +120,12 @@ class ForcePlanning:
         plan = without_feedback(solution.plan) if bare else solution.plan
         self._pending.put(t_us, solution.wall_ms, plan)
 
+    def planned(self, t_us: TimeUs) -> PlanSample | None:
+        """The plan in force at a time, for the record."""
+        if self.message is None or self._arrays is None:
+            return None
+        return sample_arrays(self._arrays, 1e-6 * (t_us - self.message.plan.stamp_us))
+
     def take(self, t_us: TimeUs) -> ForcePlan | None:
         """The plan that takes effect now, if one does."""
         return self._pending.take(t_us)
@@ -158,7 +169,8 @@ class ForcePlanning:
         if self.message is None:
             pull = -cables.tension[:, None] * cables.dir_W
             return estimate.team.load, pull, np.zeros_like(pull)
-        now = sample_plan(self.message.plan, estimate.stamp_us)
+        now = self.planned(estimate.stamp_us)
+        assert now is not None
         error = self._error(estimate.stamp_us, estimate.team.load)
         outside = 1.0
         if trigger.feedback:

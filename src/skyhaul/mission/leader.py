@@ -8,12 +8,12 @@ import numpy as np
 from skyhaul.comms.api import Bus
 from skyhaul.comms.messages import ORDER, PLAN, Order, PlanMessage, Status
 from skyhaul.control.api import ForcePlan
-from skyhaul.control.failure import equilibrium_after_loss
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.mapping.api import MapChange, WorldMap
 from skyhaul.mission.api import Phase, Recorder, Replan, Trigger
 from skyhaul.mission.forces import ForcePlanning
 from skyhaul.mission.latency import Pending
+from skyhaul.mission.loss import reference_after_loss, rest_after_loss
 from skyhaul.mission.phases import LeaderView, next_phase, spool_plan
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.stopwatch import Stopwatch
@@ -29,7 +29,6 @@ from skyhaul.planning.reference import (
     restart_reference,
     resting_reference,
     stop_reference,
-    with_tilt,
 )
 from skyhaul.planning.tasks import LIFT_DT_US, lift_reference, task_reference
 from skyhaul.types import (
@@ -44,8 +43,6 @@ from skyhaul.types import (
 
 _RESTS_MPS, _ARRIVING_US = 0.15, 1_500_000
 """Slower than this the team rests on its way [m/s], but not so soon before the end [us]."""
-_TILT_US = 800_000
-"""Time to turn the load to another attitude after a vehicle is lost [us]."""
 
 
 class Leader:
@@ -94,17 +91,16 @@ class Leader:
         if not active.any():
             self._enough_left = False
             return
-        rest = equilibrium_after_loss(self._stack.team, active)
+        rest = rest_after_loss(self._stack.team, tuple(bool(a) for a in active))
         self._enough_left = rest.survivable
         if self.reference is not None and rest.survivable and self._stack.arrays.rigid:
             self._tilt(t_us, self.reference, rest.R_WL)
 
     def _tilt(self, t_us: TimeUs, reference: Reference, R_WL: Array) -> None:
         """Turn the load on its way; a reference of a kind that cannot turn it comes to rest."""
-        reaches_goal = self._reaches_goal
-        if not isinstance(reference, SplineReference):
-            reference, reaches_goal = stop_reference(reference, t_us, self._stack.limits), False
-        self._adopt(t_us, with_tilt(reference, t_us, R_WL, _TILT_US), reaches_goal)
+        reaches_goal = self._reaches_goal and isinstance(reference, SplineReference)
+        turned = reference_after_loss(self._stack, reference, t_us, R_WL)
+        self._adopt(t_us, turned, reaches_goal)
 
     def take_over(self, index: int, message: PlanMessage | None) -> None:
         """Lead from another vehicle; flies on along the plan that this one received last."""
@@ -278,9 +274,9 @@ class Leader:
         self.reference, self._reaches_goal, self._waits = reference, reaches_goal, waits
         self._pending.drop()
         self.forces.new_reference()
-        n = self._stack.team.count
         before = 0.0 if self._heading is None else self._heading
-        self._heading = fan_out(reference, n, t_us, before, self._stack.heading)
+        azimuths = self._stack.team.azimuths_rad
+        self._heading = fan_out(reference, azimuths, t_us, before, self._stack.heading)
         self._recorder.reference(t_us, reference)
 
     # Step 5: payload NMPC, when triggered -------------------------------------------------------

@@ -2,13 +2,17 @@
 """Where a vehicle flies while it carries nothing: to its station over the load, or away from it."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from skyhaul.geometry.kernels import norm
+from skyhaul.jit import njit
 from skyhaul.model.team import Team
 from skyhaul.params import Params
 from skyhaul.types import Array
+
+Share = TypeVar("Share", float, Array)
 
 
 class Setpoint(NamedTuple):
@@ -71,9 +75,9 @@ class StationParams(Params):
     def advance(self, route: Route, dt_s: float, *, forwards: bool) -> Route:
         """The route a little later."""
         wanted, slew = (1.0 if forwards else -1.0), 2.0 * dt_s / self.turn_s
-        rate = route.rate + float(np.clip(wanted - route.rate, -slew, slew))
+        rate = route.rate + min(max(wanted - route.rate, -slew), slew)
         end = self.duration_s(route)
-        progress = float(np.clip(route.progress_s + rate * dt_s, 0.0, end))
+        progress = min(max(route.progress_s + rate * dt_s, 0.0), end)
         at_end = (progress == end and rate > 0.0) or (progress == 0.0 and rate < 0.0)
         return replace(route, progress_s=progress, rate=0.0 if at_end else rate)
 
@@ -81,7 +85,7 @@ class StationParams(Params):
         """Minimum-jerk motion along the polyline."""
         end = self.duration_s(route)
         s = route.progress_s / end
-        share = float(route_share(np.array(s)))
+        share = minimum_jerk(s)
         slope = 30.0 * s * s * (1.0 - s) ** 2 / end * route.rate
         p, tangent = _along(route.corners, share)
         bend = (60.0 * s - 180.0 * s * s + 120.0 * s**3) * (route.rate / end) ** 2
@@ -96,11 +100,11 @@ class StationParams(Params):
 class TakeOffParams(Params):
     """How long the steps of a take-off last, and how far it keeps off movers."""
 
-    tauten_s: float = 0.9
+    tauten_s: float = 0.7
     """From the stations until all cables are known to be taut [s]."""
     rise_s: float = 0.3
     """From the first pull at full weight until the load leaves the floor [s]."""
-    dodge_s: float = 1.5
+    dodge_s: float = 0.8
     """From then on it takes this long to be on another course [s]."""
     margin_m: float = 0.1
     """Vehicles and cables keep at least this far off the tubes of movers [m]."""
@@ -113,22 +117,34 @@ class TakeOffParams(Params):
                 raise ValueError(f"{name} must be >= 0, got {getattr(self, name)}")
 
 
-def route_share(progress: Array) -> Array:
-    """Share of a route's length that is done at shares of its time; minimum jerk."""
-    s = np.clip(progress, 0.0, 1.0)
-    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
+def minimum_jerk(s: Share) -> Share:
+    """Share of a route's length that is done at a share of its time, both 0 to 1."""
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
+@njit
 def _along(corners: Array, share: float) -> tuple[Array, Array]:
     """Point at a share of a polyline's length, and the tangent there."""
-    legs = np.diff(corners, axis=0)
-    lengths = np.linalg.norm(legs, axis=1)
-    ends = np.cumsum(lengths)
-    k = min(int(np.searchsorted(ends, share * ends[-1])), len(legs) - 1)
-    before = ends[k] - lengths[k]
-    tangent: Array = legs[k] / max(lengths[k], 1e-12)
-    point: Array = corners[k] + (share * ends[-1] - before) * tangent
+    last = corners.shape[0] - 2
+    total, before = 0.0, 0.0
+    for k in range(last + 1):
+        total += _leg(corners, k)
+    k = 0
+    while k < last and before + _leg(corners, k) < share * total:
+        before += _leg(corners, k)
+        k += 1
+    point, tangent, length = np.empty(3), np.empty(3), max(_leg(corners, k), 1e-12)
+    for c in range(3):
+        tangent[c] = (corners[k + 1, c] - corners[k, c]) / length
+        point[c] = corners[k, c] + (share * total - before) * tangent[c]
     return point, tangent
+
+
+@njit
+def _leg(corners: Array, k: int) -> float:
+    """Length of leg k of a polyline [m]."""
+    a, b = corners[k], corners[k + 1]
+    return norm((b[0] - a[0], b[1] - a[1], b[2] - a[2]))
 
 
 def station_point(team: Team, p_WL: Array, R_WL: Array, i: int, share: float) -> Array:

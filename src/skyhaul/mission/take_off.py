@@ -9,7 +9,7 @@ from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.mapping.api import WorldMap
 from skyhaul.mapping.clearance import tube_clearances
 from skyhaul.mission.setup import Stack
-from skyhaul.mission.station import route_along, route_share, station_point
+from skyhaul.mission.station import minimum_jerk, route_along, station_point
 from skyhaul.types import Array, TimeUs
 
 STEP_S = 0.1
@@ -44,7 +44,8 @@ def predict(stack: Stack, p_WP: Array, load: Array, left_s: Array) -> TakeOff:
     left_s = np.minimum(left_s, whole_s)
     at_s = float(left_s.max()) + params.tauten_s + stack.mission.spool_s + params.rise_s
     ahead_s = np.arange(0.0, at_s + params.dodge_s + STEP_S, STEP_S)
-    share = route_share(1.0 - (left_s - ahead_s[:, None]) / whole_s)[:, :, None]
+    done = np.clip(1.0 - (left_s - ahead_s[:, None]) / whole_s, 0.0, 1.0)
+    share = minimum_jerk(done)[:, :, None]
     up = np.zeros((len(ahead_s), 3))
     up[:, 2] = 0.5 * stack.limits.a_max_mps2 * np.maximum(ahead_s - at_s, 0.0) ** 2
     p_WB = p_WP + share * (stations - p_WP) + up[:, None]

@@ -8,13 +8,13 @@ import numpy as np
 from skyhaul.comms.api import Bus
 from skyhaul.comms.messages import FAULT, STATUS, Fault, Order, PlanMessage, Status
 from skyhaul.control.failure import Rotor
-from skyhaul.geometry.quaternion import quat_to_R
+from skyhaul.geometry.kernels import quat_rotate
 from skyhaul.mission.api import Phase
+from skyhaul.mission.loss import makeshift_plan
 from skyhaul.mission.phases import spool_share
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.station import Route, Setpoint, route_along, station_point
 from skyhaul.mission.tracking import SharedTracking
-from skyhaul.model.mixer import saturate_rotors
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.plant.api import PLANT_STEP_US
 from skyhaul.types import US_PER_S, Array, TimeUs
@@ -22,6 +22,8 @@ from skyhaul.types import US_PER_S, Array, TimeUs
 STATUS_PERIOD_US = 20_000
 """Time between two heartbeats of a vehicle [us]."""
 _DT_S = PLANT_STEP_US / US_PER_S
+_STATION_PHASES = (Phase.FLY_IN.value, Phase.TAUTEN.value)
+_LIFT = Phase.LIFT.value
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +50,16 @@ class VehicleAgent:
         self._stack, self._bus = stack, bus
         self._tracking = tracking
         self._watch = stack.fault_watch.init()
+        self._makeshift: tuple[PlanMessage, PlanMessage] | None = None
         self._route: Route | None = None
         self._creep_m = 0.0
         self._taut_s = 0.0
         self._thrust_cmd = 0.0
         arrays = stack.arrays
+        ends = [station_point(stack.team, np.zeros(3), np.eye(3), index, s) for s in (0.0, 1.0)]
+        self._hook_L, self._cable_L = ends[0], ends[1] - ends[0]
+        self._outward = float(stack.team.azimuths_rad[index])
+        self._cable_m = float(stack.team.cable_lengths_m()[index])
         self._rotor = Rotor(float(arrays.thrust_max[index]), arrays.motor_lag)
 
     def hear(self, t_us: TimeUs) -> list[Status]:
@@ -61,17 +68,24 @@ class VehicleAgent:
         for envelope in self._bus.receive(self.index, t_us):
             match envelope.payload:
                 case PlanMessage() as plan:
-                    self.plan = plan
+                    if plan.stamp_us > _stamp_us(self.plan):
+                        self.plan = plan
                 case Order() as order:
-                    self.order = order
+                    if order.stamp_us > _stamp_us(self.order):
+                        self.order = order
                 case Fault() as fault:
                     self.faulty |= {fault.vehicle}
                 case Status() as status:
                     statuses.append(status)
+                    self.faulty |= set(np.flatnonzero(status.faulty).tolist())
         return statuses
 
     def report(self, t_us: TimeUs, estimate: TeamEstimate) -> Status | None:
-        """Send the heartbeat when it is due, and a fault when there is a new one."""
+        """Send the heartbeat when it is due, and a fault when there is a new one.
+
+        Heartbeats repeat what is known of faults, so that a fault that is lost arrives with the
+        next of them, from whichever vehicle knows of it.
+        """
         i = self.index
         reason = self._new_fault(estimate)
         if reason is not None:
@@ -91,24 +105,30 @@ class VehicleAgent:
             at_station=self._arrived(),
             station_in_s=self._station_in_s(),
             on_way_s=0.0 if self._route is None else self._route.progress_s,
+            faulty=np.array([j in self.faulty for j in range(self._stack.team.count)]),
+            order_us=_stamp_us(self.order),
+            plan_us=_stamp_us(self.plan),
         )
         self._bus.publish(STATUS, i, t_us, status)
         return status
 
     def act(self, t_us: TimeUs, estimate: TeamEstimate) -> Actuation:
         """Steps 5 and 6 of Algorithm 1: turn the plan into rotor thrusts."""
-        order, i = self.order, self.index
-        if i in self.faulty:
+        order = self.order
+        if self.index in self.faulty:
             act = self._leave(estimate)
         elif order is None:
             act = self._idle()
-        elif order.phase in (Phase.FLY_IN.value, Phase.TAUTEN.value):
+        elif order.phase in _STATION_PHASES:
             act = self._to_station(estimate, retreat=order.retreat)
         elif self.plan is not None:
-            act = self._carry(estimate, self.plan, self._share(t_us, order))
+            plan = self._plan_without_the_lost(t_us, self.plan)
+            act = self._carry(estimate, plan, self._share(t_us, order))
+        elif self._route is not None:
+            act = self._to_station(estimate, retreat=False)  # the plan is still on its way
         else:
             act = self._idle()
-        self._thrust_cmd = float(act.rotor_cmd.sum())
+        self._thrust_cmd = sum(act.rotor_cmd.tolist())
         return act
 
     def _new_fault(self, estimate: TeamEstimate) -> str | None:
@@ -125,9 +145,18 @@ class VehicleAgent:
             return "its cable is off the load"
         return None
 
+    def _plan_without_the_lost(self, t_us: TimeUs, plan: PlanMessage) -> PlanMessage:
+        """The leader's plan, unless it counts on a vehicle that is known to be faulty."""
+        if not any(plan.plan.active[j] for j in self.faulty):
+            return plan
+        if self._makeshift is None or self._makeshift[0] is not plan:
+            active = np.array([j not in self.faulty for j in range(self._stack.team.count)])
+            self._makeshift = (plan, makeshift_plan(self._stack, plan, t_us, active))
+        return self._makeshift[1]
+
     def _share(self, t_us: TimeUs, order: Order) -> float:
         """Share of the planned forces to pull with: all but at the beginning of the lift."""
-        if order.phase != Phase.LIFT.value:
+        if order.phase != _LIFT:
             return 1.0
         return spool_share(self._stack, (t_us - order.since_us) / US_PER_S)
 
@@ -167,10 +196,10 @@ class VehicleAgent:
 
     def _station(self, estimate: TeamEstimate, creep_m: float) -> Array:
         """Place over the load with the cable a little slack, pushed out by the creep, (3,) [m]."""
-        i, stack = self.index, self._stack
-        share = stack.mission.station.slack_share + creep_m / stack.team.cable_lengths_m()[i]
-        R_WL = quat_to_R(estimate.team.q_WL)
-        return station_point(stack.team, estimate.team.p_WL, R_WL, i, share)
+        team, share = estimate.team, self._stack.mission.station.slack_share
+        out_L = self._hook_L + (share + creep_m / self._cable_m) * self._cable_L
+        station: Array = team.p_WL + quat_rotate(team.q_WL, out_L)
+        return station
 
     def _creep(self, estimate: TeamEstimate) -> Setpoint:
         """Push the station outward along the cable until the cable is taut."""
@@ -200,13 +229,11 @@ class VehicleAgent:
     def _fly_free(
         self, estimate: TeamEstimate, target: Setpoint, *, attach: bool = False
     ) -> Actuation:
-        i, n = self.index, self._stack.team.count
-        p_WD, v_WD, a_WD = (np.tile(row, (n, 1)) for row in target)
-        thrust, moment = self._stack.free_flight.step(estimate.team, p_WD, v_WD, a_WD, np.zeros(n))
-        wrench = np.column_stack([thrust, moment])
-        rotors = saturate_rotors(self._stack.arrays, wrench)
+        rotors, thrust, moment = self._stack.free_flight.step_one(
+            estimate.team, self.index, np.array(target), self._outward
+        )
         nothing = np.zeros(3)
-        return Actuation(rotors[i], float(thrust[i]), moment[i], nothing, nothing, attach=attach)
+        return Actuation(rotors, thrust, moment, nothing, nothing, attach=attach)
 
     def _idle(self, *, release: bool = False) -> Actuation:
         nothing = np.zeros(3)
@@ -221,3 +248,8 @@ class VehicleAgent:
     def _arrived(self) -> bool:
         route = self._route
         return route is not None and self._stack.mission.station.arrived(route)
+
+
+def _stamp_us(message: Order | PlanMessage | None) -> TimeUs:
+    """Stamp of a message that a vehicle has; -1 while it has none."""
+    return -1 if message is None else message.stamp_us

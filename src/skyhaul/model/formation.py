@@ -113,21 +113,25 @@ def hover_wrenches(team: Team) -> Array:
     return np.column_stack([thrust, np.zeros((team.count, 3))])
 
 
-def hover_state(team: Team, p_WL: Array, yaw: float = 0.0) -> TautState:
+def hover_state(
+    team: Team, p_WL: Array, yaw: float = 0.0, headings: Array | None = None
+) -> TautState:
     """The team at rest in equilibrium, all cables taut.
 
     Args:
         team: The team.
         p_WL: Centre of mass of the load, (3,) [m].
-        yaw: Heading of the load and of the vehicles [rad]; a point mass keeps q = identity, its
-            formation does not turn.
+        yaw: Heading of the load [rad]; a point mass keeps q = identity, its formation does not
+            turn.
+        headings: Those of the vehicles, (n,) [rad]; default: that of the load.
     """
     n, rigid = team.count, arrays_of(team).rigid
     turn = rotation_z(yaw if rigid else 0.0)
     f_W = hover_forces(team) @ turn.T
     b3 = _hover_thrust_W(team) @ turn.T
     b3 = b3 / np.linalg.norm(b3, axis=1, keepdims=True)
-    b2 = np.cross(b3, rotation_z(yaw)[:, 0])
+    ahead = np.full(n, yaw) if headings is None else headings
+    b2 = np.cross(b3, np.column_stack([np.cos(ahead), np.sin(ahead), np.zeros(n)]))
     b2 = b2 / np.linalg.norm(b2, axis=1, keepdims=True)
     q_WL = R_to_quat(hover_attitude(team))
     return TautState(

@@ -18,15 +18,22 @@ from skyhaul.plant.clearance import (
     update_touches,
 )
 from skyhaul.plant.events import EventQueue
-from skyhaul.plant.observe import Constraints, Inputs, observe, team_bodies, write_inputs
+from skyhaul.plant.observe import (
+    Constraints,
+    observe,
+    place_obstacles,
+    team_bodies,
+    write_forces,
+)
 from skyhaul.plant.rotors import rotor_lag
 from skyhaul.plant.start import start_state
 from skyhaul.plant.wind import is_calm, wind_model
-from skyhaul.types import US_PER_S, Array, IntArray, TimeUs, frozen
+from skyhaul.types import US_PER_S, Array, IntArray, Mask, TimeUs, frozen
 from skyhaul.world.motion import obstacle_field
 from skyhaul.world.scenario import Scenario
 
 STEP_S = PLANT_STEP_US / US_PER_S
+_VELOCITY_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL)
 
 
 class MujocoPlant:
@@ -36,6 +43,9 @@ class MujocoPlant:
     to the air; wind and obstacles are held over a step. Every cable but a cut one can be attached
     again. The place of a slack or open cable is a straight line for `Truth.cables`; for clearance
     an open cable does not exist.
+
+    The pass at the end of a step, which the truth is read from, is at the state where the next
+    step begins, so that step only computes anew what its inputs change.
 
     Limits:
         Cables have no mass, no drag and pass through each other; nothing they touch feels them.
@@ -79,13 +89,15 @@ class MujocoPlant:
         for i in np.flatnonzero(~self._attached):
             self._open(int(i))
         d = self._data
-        self._inputs = Inputs(d.ctrl, d.xfrc_applied, d.mocap_pos)
+        self._inputs = (d.ctrl, d.xfrc_applied)
         self._views = (d.qpos, d.qvel, d.qacc)
+        self._hooks_changed = False
+        self._masks = (self._alive.copy(), self._attached.copy())
         self._bodies = team_bodies(team)
         self._touches = touch_memory(team.count, len(self._field.names))
-        self._present = self._field.present(0, start.p_WL.copy())
-        frozen(self._present)
+        self._present = np.full(len(shapes.kind), self._field.always)
         self._wind_W = self._wind.at(self._air, 0.0)
+        self._move_obstacles(start.p_WL.copy())
         self._write(self._rotors)
         place(self._model, d, start)
         self._check_start(self._observe())
@@ -108,14 +120,24 @@ class MujocoPlant:
         mean = np.empty_like(self._rotors)
         rotor_lag(self._team, self._alive, command, STEP_S, self._rotors, mean)
         self._write(mean)
-        mujoco.mj_step(self._model, self._data)
+        self._integrate()
         self._t_us += PLANT_STEP_US
         if self._gusty:
             self._wind.step(self._air)
             self._wind_W = self._wind.at(self._air, self._t_us / US_PER_S)
+        self._move_obstacles(self._views[0][:3])
         mujoco.mj_forward(self._model, self._data)
         self._truth = self._observe()
         return self._truth
+
+    def _integrate(self) -> None:
+        """One step of RK4: `mj_step` without the part of its first pass that is known."""
+        if self._hooks_changed:
+            mujoco.mj_forward(self._model, self._data)
+            self._hooks_changed = False
+        else:
+            mujoco.mj_forwardSkip(self._model, self._data, _VELOCITY_STAGE, 1)
+        mujoco.mj_RungeKutta(self._model, self._data, 4)
 
     def set_taut(self, state: TautState, rotor_thrust: Array) -> Truth:
         """Put the team into a taut state, cables exactly as long as they are; time goes on.
@@ -142,10 +164,12 @@ class MujocoPlant:
         if reaches and not self._cut[i]:
             self._attached[i] = True
             self._model.tendon_range[i, 1] = self._team.length[i]
+            self._hooks_changed = True
         return bool(self._attached[i])
 
     def _open(self, i: int) -> None:
         self._model.tendon_range[i, 1] = OPEN_M
+        self._hooks_changed = True
 
     def _play_events(self) -> None:
         for event in self._events.due(self._t_us, self._truth.team.p_WL):
@@ -156,39 +180,51 @@ class MujocoPlant:
                 self.release_hook(event.vehicle)
 
     def _write(self, rotor_mean: Array) -> None:
-        p_WO = self._field.state_at(self._t_us)[0]
-        write_inputs(
-            self._inputs, self._mixer, rotor_mean, self._wind_W, self._drag, p_WO, self._present
-        )
+        write_forces(*self._inputs, self._mixer, rotor_mean, self._wind_W, self._drag)
+
+    def _move_obstacles(self, p_WL: Array) -> None:
+        """Obstacles to where they are now, with the load at p_WL, (3,) [m]."""
+        field = self._field
+        p_WO, v_WO = field.state_at(self._t_us)
+        if not field.always:
+            self._present = self._present | field.present(self._t_us, p_WL.copy())
+            frozen(self._present)
+        place_obstacles(self._data.mocap_pos, p_WO, self._present)
+        self._obstacles = (field.shapes._replace(p_WO=p_WO), v_WO)
 
     def _observe(self) -> Truth:
         """Read MuJoCo out after a forward pass at the present state."""
         d = self._data
         rows = Constraints(d.efc_type, d.efc_id, d.efc_force)
         o = observe(self._team, *self._views, rows, self._bodies)
-        if not np.isfinite(o.accel_W).all():
+        if not o.finite:
             raise SkyhaulError(f"the plant diverged at {self._t_us / US_PER_S:.3f} s")
-        p_WO, v_WO = self._field.state_at(self._t_us)
-        present = self._present | self._field.present(self._t_us, o.p_WL)
-        self._present = present
-        obstacles = self._field.shapes._replace(p_WO=p_WO)
-        around = Surroundings(obstacles, self._reach, present, *self._room)
+        obstacles, v_WO = self._obstacles
+        around = Surroundings(obstacles, self._reach, self._present, *self._room)
+        alive, attached = self._masks_now()
         clearance, begun = update_touches(self._bodies, self._attached, around, self._touches)
         return Truth(
             stamp_us=self._t_us,
             team=TeamState(o.p_WL, o.q_WL, o.v_WL, o.w_WL_L, o.p_WB, o.q_WB, o.v_WB, o.w_WB_B),
             cables=CableState(o.dir_W, o.w_W, o.tension, o.length),
-            attached=self._attached.copy(),
-            alive=self._alive.copy(),
+            attached=attached,
+            alive=alive,
             rotor_thrust=self._rotors.copy(),
             accel_W=o.accel_W,
             obstacles=obstacles,
             v_WO=v_WO,
-            present=present,
-            wind_W=self._wind_W.copy(),
+            present=self._present,
+            wind_W=self._wind_W,
             clearance_m=clearance,
             contacts=self._contacts(self._touches.begun[:begun]) if begun else (),
         )
+
+    def _masks_now(self) -> tuple[Mask, Mask]:
+        """Which vehicles are alive and attached; the same arrays as long as none changes."""
+        alive, attached = self._masks
+        if bytes(alive) != bytes(self._alive) or bytes(attached) != bytes(self._attached):
+            self._masks = (self._alive.copy(), self._attached.copy())
+        return self._masks
 
     def _contacts(self, begun: IntArray) -> tuple[Contact, ...]:
         n, names = len(self._alive), self._field.names

@@ -19,7 +19,7 @@ TENDON_LIMIT = int(mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON)
 
 
 class Observation(NamedTuple):
-    """Fields of `TeamState`, `CableState` and `Truth`, same names."""
+    """Fields of `TeamState`, `CableState`, `Truth`, same names; `finite`: the accelerations are."""
 
     p_WL: Array
     q_WL: Array
@@ -34,6 +34,7 @@ class Observation(NamedTuple):
     tension: Array
     length: Array
     accel_W: Array
+    finite: bool
 
 
 class Constraints(NamedTuple):
@@ -79,7 +80,7 @@ def observe(
         bodies: As `team_bodies` makes them.
     """
     n = team.m_B.shape[0]
-    out = _allocate(n)
+    out = _allocate(n, _all_finite(qacc))
     nq, nv = (7, 6) if team.rigid else (3, 3)
     for c in range(3):
         out.p_WL[c], out.v_WL[c], out.accel_W[0, c] = qpos[c], qvel[c], qacc[c]
@@ -104,7 +105,15 @@ def observe(
 
 
 @njit
-def _allocate(n: int) -> Observation:
+def _all_finite(a: Array) -> bool:
+    finite = True
+    for x in a:
+        finite = finite and math.isfinite(x)
+    return finite
+
+
+@njit
+def _allocate(n: int, finite: bool) -> Observation:
     return Observation(
         np.empty(3),
         np.empty(4),
@@ -119,6 +128,7 @@ def _allocate(n: int) -> Observation:
         np.empty(n),
         np.empty(n),
         np.empty((1 + n, 3)),
+        finite,
     )
 
 
@@ -158,44 +168,34 @@ def _read_cable(team: TeamArrays, out: Observation, bodies: ShapeArrays, i: int)
     out.w_W[i, 0], out.w_W[i, 1], out.w_W[i, 2] = swing
 
 
-class Inputs(NamedTuple):
-    """MuJoCo's input arrays."""
-
-    ctrl: Array  # (4 n,)
-    xfrc: Array  # (nbody, 6) force and moment on every body, W axes
-    mocap: Array  # (m, 3)
-
-
 @njit
-def write_inputs(
-    inputs: Inputs,
-    mixer: Array,
-    rotor_mean: Array,
-    wind: Array,
-    drag: Array,
-    p_WO: Array,
-    present: Mask,
+def write_forces(
+    ctrl: Array, xfrc: Array, mixer: Array, rotor_mean: Array, wind: Array, drag: Array
 ) -> None:
-    """Put thrusts, moments, the force of the moving air and the obstacles' places into MuJoCo.
+    """Put thrusts, moments and the force of the moving air into MuJoCo.
 
     Args:
-        inputs: Written.
+        ctrl: MuJoCo's controls, (4 n,), written.
+        xfrc: MuJoCo's forces and moments on every body, W axes, (nbody, 6), written.
         mixer: (4, 4), rotor thrusts to wrench.
         rotor_mean: (n, 4) [N].
         wind: (3,), W axes [m/s].
         drag: Of load and vehicles, (1 + n,) [N s/m].
-        p_WO: Centres of the obstacles, (m, 3) [m].
-        present: Which of them exist, (m,).
     """
     for i in range(rotor_mean.shape[0]):
         for a in range(4):
             s = 0.0
             for k in range(4):
                 s += mixer[a, k] * rotor_mean[i, k]
-            inputs.ctrl[4 * i + a] = s
+            ctrl[4 * i + a] = s
     for i in range(drag.shape[0]):
         for c in range(3):
-            inputs.xfrc[1 + i, c] = drag[i] * wind[c]
+            xfrc[1 + i, c] = drag[i] * wind[c]
+
+
+@njit
+def place_obstacles(mocap: Array, p_WO: Array, present: Mask) -> None:
+    """Put the obstacles' centres, (m, 3) [m], into MuJoCo; those not `present` far away."""
     for j in range(present.shape[0]):
         for c in range(3):
-            inputs.mocap[j, c] = p_WO[j, c] if present[j] else (-1e3 if c == 2 else 0.0)
+            mocap[j, c] = p_WO[j, c] if present[j] else (-1e3 if c == 2 else 0.0)

@@ -33,6 +33,7 @@ def start_state(scenario: Scenario) -> StartState:
 
     On the ground the bodies stand on the floor, rotors idling at their smallest thrust; in the
     air the team hovers (`model.formation.hover_state`) with the rotors at their hover thrust.
+    Every vehicle looks outward, along the azimuth of its cable.
 
     Raises:
         ConfigError: when vehicles overlap, or a cable does not reach from its hook.
@@ -48,7 +49,7 @@ def start_state(scenario: Scenario) -> StartState:
 
 
 def _in_the_air(team: Team, start: AirStart) -> StartState:
-    hover = hover_state(team, np.array(start.payload_m))
+    hover = hover_state(team, np.array(start.payload_m), headings=team.azimuths_rad)
     return StartState(
         p_WL=hover.p_WL,
         q_WL=hover.q_WL,
@@ -72,12 +73,12 @@ def _on_the_ground(team: Team, start: GroundStart | FlyInStart) -> StartState:
     attached = isinstance(start, GroundStart)
     if attached:
         _check_reach(team, p_WL, p_WB)
-    upright = np.array([1.0, 0.0, 0.0, 0.0])
+    half = 0.5 * team.azimuths_rad
     return StartState(
         p_WL=p_WL,
-        q_WL=upright,
+        q_WL=np.array([1.0, 0.0, 0.0, 0.0]),
         p_WB=p_WB,
-        q_WB=np.tile(upright, (n, 1)),
+        q_WB=np.column_stack([np.cos(half), np.zeros((n, 2)), np.sin(half)]),
         rotor_thrust=np.repeat(0.25 * team.arrays().thrust_min[:, None], 4, axis=1),
         tension=np.zeros(n),
         attached=attached,

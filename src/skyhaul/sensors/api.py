@@ -3,9 +3,15 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from skyhaul.geometry.shapes import Shape
 from skyhaul.model.state import CableState, TeamState
-from skyhaul.types import Array, Mask, TimeUs
+from skyhaul.types import Array, IntArray, Mask, TimeUs, frozen
+
+GreyImage = NDArray[np.uint8]
+"""A grey image, (height, width), row 0 on top."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,3 +43,81 @@ class ObjectsReading:
 
     stamp_us: TimeUs
     objects: tuple[ObjectReading, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ImuReading:
+    """Samples of one IMU since the reading before, in order of time."""
+
+    stamp_us: IntArray  # (k,) by the IMU's own clock
+    gyro_I: Array  # (k, 3) angular rate [rad/s]
+    accel_I: Array  # (k, 3) specific force [m/s^2]
+
+    def __post_init__(self) -> None:
+        frozen(self.stamp_us, self.gyro_I, self.accel_I)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFrame:
+    """One image of one camera."""
+
+    stamp_us: TimeUs  # middle of the exposure, by the camera's own clock
+    camera: int  # index in the rig
+    image: GreyImage
+
+    def __post_init__(self) -> None:
+        frozen(self.image)
+
+
+@dataclass(frozen=True, eq=False)
+class EventReading:
+    """Events of one event camera since the reading before, in order of time."""
+
+    t_us: IntArray  # (k,)
+    x: NDArray[np.int16]  # (k,) column [px]
+    y: NDArray[np.int16]  # (k,) row [px]
+    p: NDArray[np.int8]  # (k,) polarity, -1 or +1
+
+    def __post_init__(self) -> None:
+        frozen(self.t_us, self.x, self.y, self.p)
+
+
+@dataclass(frozen=True, eq=False)
+class EventLabels:
+    """Which object caused each event. Only training and evaluation read it, never perception."""
+
+    object_id: NDArray[np.int16]  # (k,) row of the event's object in the scene; -1 noise, -2 sky
+
+    def __post_init__(self) -> None:
+        frozen(self.object_id)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadCellReading:
+    """Tensions measured in one hook since the reading before."""
+
+    stamp_us: IntArray  # (k,)
+    tension: Array  # (k,) [N]
+
+    def __post_init__(self) -> None:
+        frozen(self.stamp_us, self.tension)
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleReading:
+    """Everything one vehicle's sensors delivered in one tick; empty where nothing was due."""
+
+    stamp_us: TimeUs
+    vehicle: int
+    imu: ImuReading
+    frames: tuple[CameraFrame, ...]
+    events: EventReading | None
+    load_cell: LoadCellReading | None
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadReading:
+    """Everything the payload's sensors delivered in one tick."""
+
+    stamp_us: TimeUs
+    imu: ImuReading

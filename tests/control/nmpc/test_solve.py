@@ -9,6 +9,7 @@ import pytest
 from skyhaul.control.api import ControlRequest, SolveStatus
 from skyhaul.control.force_plan import sample_plan
 from skyhaul.control.nmpc import Nmpc
+from skyhaul.control.nmpc.sqp import step_size
 from skyhaul.model import (
     PointPayload,
     RigidPayload,
@@ -264,3 +265,29 @@ def test_limits_of_speed_come_from_the_scenario(loop):
     memory, _ = slow.solve(slow.init(), request)
     _, solution = slow.solve(memory, request)
     assert np.linalg.norm(solution.plan.load[:, 7:10], axis=1).max() < 0.75
+
+
+def test_iterations_end_with_a_small_step_and_the_plan_is_that_of_all_of_them(limits, loop):
+    """Every step is about the square of the one before: nothing is lost by leaving the last out."""
+    world, reference = loop.empty_world(TEAM), loop.Eight(yaw_rad=0.0)
+    first, later = (
+        make_request(TEAM, reference, world, t_us=t_us, sqp_iterations=3) for t_us in (0, 200_000)
+    )
+    plans, counts = [], []
+    for small_step in (Nmpc().small_step, 1e-300):
+        controller = Nmpc(small_step=small_step).build(TEAM, limits)
+        memory, _ = controller.solve(controller.init(), first)
+        _, solution = controller.solve(memory, later)
+        plans.append(solution.plan)
+        counts.append(solution.iterations)
+    assert counts[0] <= 0.7 * counts[1]
+    np.testing.assert_allclose(plans[0].force_W, plans[1].force_W, atol=1e-4)
+    np.testing.assert_allclose(plans[0].load, plans[1].load, atol=1e-5)
+
+
+def test_the_size_of_a_step_is_its_largest_entry_and_forces_count_in_hover_forces():
+    dx, hover = np.zeros((5, 12 + 6 + 3)), np.full(6, 0.5)
+    dx[2, 4], dx[3, 13], dx[4, 20] = -0.01, 0.02, 7.0  # the rate of the whole force is no part
+    assert step_size(dx, hover) == pytest.approx(0.04)
+    dx[0, 11] = 0.05
+    assert step_size(dx, hover) == pytest.approx(0.05)

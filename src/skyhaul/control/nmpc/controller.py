@@ -36,6 +36,7 @@ class Settings:
     rate_max: Array  # (nz,) of z [1/s]
     slack: tuple[float, float, float, float]  # weights for forces, tilt, speed, obstacles
     movers: int  # rows for tracks
+    small_step: float  # see `Problem.small`
     feedback: Feedback
     qp: QpOptions
 
@@ -57,6 +58,7 @@ class Model:
     stage: StageParams
     im: InputMap
     rate_max: Array  # (nz,) [N/s, N m/s]
+    hover: Array  # (nz,) [N, N m]
     pinv_L: Array  # (n, 3, 6)
 
 
@@ -133,6 +135,8 @@ class PayloadNmpc:
             stage=model.stage,
             im=model.im,
             rate_max=model.rate_max,
+            hover=model.hover,
+            small=self.settings.small_step,
             refs=refs,
             node=node,
             t_us=t_us,
@@ -205,4 +209,4 @@ def _model(controller: PayloadNmpc, active: tuple[bool, ...]) -> Model:
         w_u=s.stage.w_u / scale**2,
     )
     im = controller.controlled.input_map(team, mask)
-    return Model(stage, im, s.rate_max * scale, formation(team, mask).pinv_L)
+    return Model(stage, im, s.rate_max * scale, scale, formation(team, mask).pinv_L)

@@ -106,11 +106,14 @@ class NmpcParams(Params):
     """KKT residual at which a QP is solved."""
     qp_iterations: int = 60
     """Interior-point iterations at most."""
+    small_step: float = 2e-3
+    """A step below this ends a solve: m, rad, m/s, rad/s, shares of the forces of hover. The next
+    one would be of the size of its square."""
 
     def __post_init__(self) -> None:
         if not (self.step_s and min(self.step_s) > 0.0):
             raise ValueError(f"step_s must be positive times, got {self.step_s}")
-        for name in ("rate_horizontal", "rate_vertical", "speed_share", "tolerance"):
+        for name in ("rate_horizontal", "rate_vertical", "speed_share", "tolerance", "small_step"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
         for name in ("cone_deg", "tilt_deg"):
@@ -152,6 +155,7 @@ def _build(p: NmpcParams, controlled: Controlled, team: Team, limits: Limits) ->
         rate_max=np.where(horizontal, p.rate_horizontal, p.rate_vertical),
         slack=(w.limit, w.tilt, w.speed, w.obstacle),
         movers=p.movers,
+        small_step=p.small_step,
         feedback=make_feedback(
             np.array(f.position_rad_s), np.array(f.attitude_rad_s), f.damping, team.payload.mass_kg
         ),

@@ -45,6 +45,8 @@ class Problem:
     stage: StageParams
     im: InputMap
     rate_max: Array  # (nz,) bound of the rate of z [N/s, N m/s]
+    hover: Array  # (nz,) size of z in hover [N, N m]
+    small: float  # a step below it ends the iterations: m, rad, m/s, rad/s, shares of hover
     refs: StageRefs
     node: Array  # (N+1,) times of the nodes after the first [s]
     t_us: Array  # (N+1,) the same since the start of the run [us]
@@ -66,7 +68,9 @@ class SqpResult:
 def solve_sqp(problem: Problem, start: Iterate, count: int, ws: Workspace) -> SqpResult:
     """Up to `count` Gauss-Newton steps from a guess; the first state and forces stay.
 
-    A QP without a solution ends the iterations: with the last usable iterate where there is one.
+    Steps shrink about as the square of the one before, so that after a small one the next would
+    change nothing; obstacles whose rows come and go keep them large. A QP without a solution ends
+    the iterations: with the last usable iterate where there is one.
     """
     qp = ws.qp
     arrays = QpArrays(qp.At, qp.Bt, qp.b, qp.Q, qp.q, qp.R, qp.r, qp.St, qp.Ct, qp.d, qp.active)
@@ -86,7 +90,21 @@ def solve_sqp(problem: Problem, start: Iterate, count: int, ws: Workspace) -> Sq
             return SqpResult(SolveStatus.FAILED, it, residual, inner, slack)
         it, slack = new, _slack_m(problem, qp)
         status = SolveStatus.OK if outcome.status == SUCCESS else SolveStatus.NOT_CONVERGED
+        if status is SolveStatus.OK and step_size(qp.dx, problem.hover) < problem.small:
+            break
     return SqpResult(status, it, residual, inner, slack)
+
+
+@njit
+def step_size(dx: Array, hover: Array) -> float:
+    """Largest entry of a step: of the load's error, (12,), and of z in shares of hover, (nz,)."""
+    size = 0.0
+    for d in dx:
+        for a in range(NE):
+            size = max(size, abs(d[a]))
+        for c in range(hover.shape[0]):
+            size = max(size, abs(d[NE + c]) / hover[c])
+    return size
 
 
 @njit

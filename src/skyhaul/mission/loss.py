@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When a cable carries no longer: the motion of the load, and what a vehicle does meanwhile."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from skyhaul.comms.messages import PlanMessage
+from skyhaul.control.failure import Equilibrium, equilibrium_after_loss
+from skyhaul.mission.setup import Stack
+from skyhaul.model.team import Team
+from skyhaul.planning.api import Reference
+from skyhaul.planning.reference import SplineReference, stop_reference, with_tilt
+from skyhaul.types import Array, Mask, TimeUs
+
+TILT_US = 800_000
+"""Time to turn the load to another attitude after a vehicle is lost [us]."""
+
+
+def reference_after_loss(
+    stack: Stack, reference: Reference, t_us: TimeUs, R_WL: Array
+) -> SplineReference:
+    """The load turned on its way; a reference of a kind that cannot turn it comes to rest.
+
+    Args:
+        stack: The stack.
+        reference: In force until now.
+        t_us: When the turn begins [us].
+        R_WL: Attitude of the equilibrium of the cables that are left, at yaw 0, (3, 3).
+    """
+    if not isinstance(reference, SplineReference):
+        reference = stop_reference(reference, t_us, stack.limits)
+    return with_tilt(reference, t_us, R_WL, TILT_US)
+
+
+def makeshift_plan(stack: Stack, message: PlanMessage, t_us: TimeUs, active: Mask) -> PlanMessage:
+    """What a follower flies from when it hears of a loss until the leader's plan arrives.
+
+    The backup law along the reference that it has, on the cables that are left: every follower
+    comes to about the same forces as the leader. The stamp stays that of the leader's last plan,
+    so that its next one replaces this.
+
+    Args:
+        stack: The stack.
+        message: The leader's last plan.
+        t_us: Time now [us].
+        active: Cables that carry, (n,); at least one.
+    """
+    rest = rest_after_loss(stack.team, tuple(bool(a) for a in active))
+    reference = message.reference
+    if rest.survivable and stack.arrays.rigid:
+        reference = reference_after_loss(stack, reference, t_us, rest.R_WL)
+    plan = stack.backup.plan(reference, t_us, active)
+    return replace(message, plan=plan, reference=reference)
+
+
+@lru_cache(maxsize=64)
+def rest_after_loss(team: Team, active: tuple[bool, ...]) -> Equilibrium:
+    """`equilibrium_after_loss`, searched once."""
+    return equilibrium_after_loss(team, np.array(active))
