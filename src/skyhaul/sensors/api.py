@@ -58,6 +58,23 @@ class ImuReading:
 
 
 @dataclass(frozen=True, eq=False)
+class ImuCalibration:
+    """What is known of an IMU before it is read."""
+
+    rate_hz: int
+    p_BI: Array  # (3,) place in the body, from its centre of mass [m]
+    R_BI: Array  # (3, 3)
+    gyro_noise: float  # white noise [rad/s/sqrt(Hz)]
+    accel_noise: float  # white noise [m/s^2/sqrt(Hz)]
+    gyro_walk: float  # random walk of the bias [rad/s^2/sqrt(Hz)]
+    accel_walk: float  # random walk of the bias [m/s^3/sqrt(Hz)]
+    clock_offset_us: TimeUs  # its clock is ahead of true time by this
+
+    def __post_init__(self) -> None:
+        frozen(self.p_BI, self.R_BI)
+
+
+@dataclass(frozen=True, eq=False)
 class CameraFrame:
     """One image of one camera."""
 
