@@ -138,3 +138,14 @@ class PayloadReading:
 
     stamp_us: TimeUs
     imu: ImuReading
+
+
+@dataclass(frozen=True, eq=False)
+class SensorTruth:
+    """What a vehicle's sensors know and do not tell. Only training and evaluation read it."""
+
+    labels: EventLabels | None  # of the events of the same reading
+    imu_bias: Array  # (6,) of gyro and accelerometer now [rad/s, m/s^2]
+
+    def __post_init__(self) -> None:
+        frozen(self.imu_bias)
