@@ -71,6 +71,8 @@ def time_of_level(c: Curve, level: float, low: float, high: float) -> float:
     Newton's method kept within the bracket, halving it where Newton leaves it.
     """
     if c.swing == 0.0:
+        if c.slope == 0.0:  # reached before, up to rounding
+            return low
         return min(max((level - c.base) / c.slope, low), high)
     rising = curve_at(c, high) > curve_at(c, low)
     t = 0.5 * (low + high)
