@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyhaul.geometry.camera import CameraModel
 from skyhaul.geometry.shapes import Shape
 from skyhaul.model.state import CableState, TeamState
 from skyhaul.types import Array, IntArray, Mask, TimeUs, frozen
@@ -72,6 +73,30 @@ class ImuCalibration:
 
     def __post_init__(self) -> None:
         frozen(self.p_BI, self.R_BI)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCalibration:
+    """What is known of a camera or of an event camera before it is read."""
+
+    name: str
+    model: CameraModel
+    rate_hz: float  # images or readings a second
+    p_BC: Array  # (3,) place in the body, from its centre of mass [m]
+    R_BC: Array  # (3, 3)
+
+    def __post_init__(self) -> None:
+        frozen(self.p_BC, self.R_BC)
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleCalibration:
+    """What is known of a vehicle's sensors before they are read."""
+
+    imu: ImuCalibration
+    cameras: tuple[CameraCalibration, ...]  # in the order of `CameraFrame.camera`
+    event_camera: CameraCalibration | None
+    load_cell_rate_hz: float | None  # None without one
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from skyhaul.model.team import Team
 from skyhaul.params import Params
+from skyhaul.sensors.api import VehicleCalibration
 from skyhaul.sensors.faults import SensorFault, check_faults
 from skyhaul.sensors.imu import Imu, imu_bank
 from skyhaul.sensors.load_cell import LoadCell
@@ -48,6 +49,15 @@ class SensorsConfig(Params):
     def event_size_px(self) -> tuple[int, int] | None:
         """Columns and rows of a vehicle's event camera; None without one."""
         return None
+
+    def calibration(self) -> VehicleCalibration:
+        """What is known of a vehicle's sensors before they are read."""
+        return VehicleCalibration(
+            imu=self.imu.calibration(),
+            cameras=(),
+            event_camera=None,
+            load_cell_rate_hz=self.load_cell.rate_hz if self.load_cell else None,
+        )
 
     def vehicle_suite(self, vehicle: int) -> VehicleSuite:
         """All sensors of one vehicle."""
