@@ -60,7 +60,7 @@ class ImuReading:
 
 @dataclass(frozen=True, eq=False)
 class ImuCalibration:
-    """What is known of an IMU before it is read."""
+    """What an estimator may know of an IMU."""
 
     rate_hz: int
     p_BI: Array  # (3,) place in the body, from its centre of mass [m]
@@ -73,30 +73,6 @@ class ImuCalibration:
 
     def __post_init__(self) -> None:
         frozen(self.p_BI, self.R_BI)
-
-
-@dataclass(frozen=True, eq=False)
-class CameraCalibration:
-    """What is known of a camera or of an event camera before it is read."""
-
-    name: str
-    model: CameraModel
-    rate_hz: float  # images or readings a second
-    p_BC: Array  # (3,) place in the body, from its centre of mass [m]
-    R_BC: Array  # (3, 3)
-
-    def __post_init__(self) -> None:
-        frozen(self.p_BC, self.R_BC)
-
-
-@dataclass(frozen=True, eq=False)
-class VehicleCalibration:
-    """What is known of a vehicle's sensors before they are read."""
-
-    imu: ImuCalibration
-    cameras: tuple[CameraCalibration, ...]  # in the order of `CameraFrame.camera`
-    event_camera: CameraCalibration | None
-    load_cell_rate_hz: float | None  # None without one
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +139,37 @@ class PayloadReading:
 
     stamp_us: TimeUs
     imu: ImuReading
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCalibration:
+    """What an estimator may know of one camera. C axes: x right, y down, z forward."""
+
+    name: str
+    model: CameraModel
+    p_BC: Array  # (3,) [m]
+    R_BC: Array  # (3, 3)
+    rate_hz: float  # images a second; 0 for an event camera
+
+    def __post_init__(self) -> None:
+        frozen(self.p_BC, self.R_BC)
+
+
+@dataclass(frozen=True, eq=False)
+class RigCalibration:
+    """What an estimator may know of a vehicle's cameras."""
+
+    cameras: tuple[CameraCalibration, ...]  # in the order of `CameraFrame.camera`
+    event_camera: CameraCalibration | None
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleCalibration:
+    """What an estimator may know of a body's sensors."""
+
+    imu: ImuCalibration
+    rig: RigCalibration
+    load_cell_rate_hz: float | None  # None without one
 
 
 @dataclass(frozen=True, eq=False)

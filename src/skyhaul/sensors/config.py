@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from skyhaul.model.team import Team
 from skyhaul.params import Params
-from skyhaul.sensors.api import VehicleCalibration
+from skyhaul.sensors.api import RigCalibration, VehicleCalibration
 from skyhaul.sensors.faults import SensorFault, check_faults
 from skyhaul.sensors.imu import Imu, imu_bank
 from skyhaul.sensors.load_cell import LoadCell
@@ -51,11 +51,10 @@ class SensorsConfig(Params):
         return None
 
     def calibration(self) -> VehicleCalibration:
-        """What is known of a vehicle's sensors before they are read."""
+        """What an estimator may know of a vehicle's sensors."""
         return VehicleCalibration(
             imu=self.imu.calibration(),
-            cameras=(),
-            event_camera=None,
+            rig=RigCalibration((), None),
             load_cell_rate_hz=self.load_cell.rate_hz if self.load_cell else None,
         )
 

@@ -112,7 +112,7 @@ class Imu(Params):
         return euler_to_R(np.deg2rad(np.array(self.rotation_deg, dtype=np.float64)))
 
     def calibration(self) -> ImuCalibration:
-        """What is known of the IMU without looking at the truth."""
+        """What an estimator may know of it."""
         return ImuCalibration(
             rate_hz=self.rate_hz,
             p_BI=np.array(self.position_m, dtype=np.float64),

@@ -5,14 +5,25 @@ The body of the data set is the IMU, as in EuRoC: T_BS takes points of a sensor 
 the ground truth is the IMU's pose.
 """
 
+import re
 from typing import Any
 
 import numpy as np
 import yaml
 
 from skyhaul.geometry.camera import CameraModel
-from skyhaul.sensors.api import CameraCalibration, ImuCalibration, VehicleCalibration
+from skyhaul.sensors.api import (
+    CameraCalibration,
+    ImuCalibration,
+    RigCalibration,
+    VehicleCalibration,
+)
 from skyhaul.types import US_PER_S, Array
+
+
+def plain(name: str) -> str:
+    """A camera's name as part of a topic or a frame."""
+    return re.sub(r"\W+", "_", name)
 
 
 def T_IC(imu: ImuCalibration, camera: CameraCalibration) -> Array:
@@ -89,6 +100,11 @@ def body_yaml(imu: ImuCalibration, carrier: str) -> str:
     )
 
 
+def all_cameras(rig: RigCalibration) -> list[CameraCalibration]:
+    """The cameras of a rig, the event camera last."""
+    return [*rig.cameras, *([rig.event_camera] if rig.event_camera else [])]
+
+
 def kalibr_cameras(known: VehicleCalibration, topics: list[str]) -> str:
     """Kalibr's `camchain-imucam.yaml`; the event camera comes last, after the cameras.
 
@@ -96,7 +112,7 @@ def kalibr_cameras(known: VehicleCalibration, topics: list[str]) -> str:
         known: The vehicle's sensors.
         topics: Of each camera, the event camera last.
     """
-    cameras = [*known.cameras, *([known.event_camera] if known.event_camera else [])]
+    cameras = all_cameras(known.rig)
     poses = [T_IC(known.imu, camera) for camera in cameras]
     out: dict[str, Any] = {}
     for i, camera in enumerate(cameras):
@@ -139,16 +155,16 @@ def _matrix(T: Array) -> dict[str, Any]:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Lists of numbers on one line, everything else spread out."""
-
-    def represent_list(self, data: list[Any]) -> yaml.Node:
-        """Matrices are a row a line, rows are one line."""
-        nested = any(isinstance(v, list | dict) for v in data)
-        return self.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=not nested)
+    """Matrices a row a line, rows on one line, mappings spread out."""
 
 
-_Dumper.add_representer(list, _Dumper.represent_list)
+def _list_node(dumper: yaml.SafeDumper, data: list[Any]) -> yaml.Node:
+    nested = any(isinstance(v, list | dict) for v in data)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=not nested)
+
+
+_Dumper.add_representer(list, _list_node)
 
 
 def _dump(tree: dict[str, Any]) -> str:
-    return yaml.dump(tree, Dumper=_Dumper, sort_keys=False, width=1000)
+    return str(yaml.dump(tree, Dumper=_Dumper, sort_keys=False, width=1000))

@@ -2,6 +2,7 @@
 """The sensors of one body as an EuRoC folder: `mav0/cam0 .. camN`, `imu0`, ground truth."""
 
 from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TextIO
 
@@ -16,6 +17,7 @@ from skyhaul.sensors.api import (
     ImuCalibration,
     ImuReading,
     LoadCellReading,
+    RigCalibration,
     SensorTruth,
     VehicleCalibration,
     VehicleReading,
@@ -24,7 +26,10 @@ from skyhaul.types import Array, IntArray
 
 
 class EurocWriter:
-    """Writes one body's folder while its readings come in; stamps become nanoseconds."""
+    """Writes one body's folder while its readings come in; stamps become nanoseconds.
+
+    Leaving the context finishes the files.
+    """
 
     def __init__(self, folder: Path, known: VehicleCalibration, name: str) -> None:
         """Make the folder and the files that do not grow.
@@ -34,11 +39,13 @@ class EurocWriter:
             known: The body's sensors.
             name: Of the body, for topics and comments.
         """
+        self._open = ExitStack()
         self._mav = folder / "mav0"
         self._mav.mkdir(parents=True)
         (self._mav / "body.yaml").write_text(calibration.body_yaml(known.imu, name), "utf-8")
-        topics = [f"/{name}/{camera.name}/image" for camera in known.cameras]
-        if known.event_camera is not None:
+        rig = known.rig
+        topics = [f"/{name}/{calibration.plain(camera.name)}/image" for camera in rig.cameras]
+        if rig.event_camera is not None:
             topics.append(f"/{name}/events")
         if topics:
             text = calibration.kalibr_cameras(known, topics)
@@ -48,12 +55,14 @@ class EurocWriter:
         self._imu = self._sensor("imu0", calibration.imu_yaml(known.imu, name), layout.IMU_HEAD)
         self._cameras = [
             self._sensor(f"cam{i}", calibration.camera_yaml(known.imu, c), layout.CAMERA_HEAD)
-            for i, c in enumerate(known.cameras)
+            for i, c in enumerate(rig.cameras)
         ]
-        for i in range(len(known.cameras)):
+        for i in range(len(rig.cameras)):
             (self._mav / f"cam{i}" / "data").mkdir()
-        camera = known.event_camera
+        camera = rig.event_camera
         self._events = EventsWriter(folder, camera.model.size_px) if camera else None
+        if self._events is not None:
+            self._open.callback(self._events.close)
         self._load_cell = None
         if known.load_cell_rate_hz is not None:
             about = f"sensor_type: load-cell\nrate_hz: {known.load_cell_rate_hz}\n"
@@ -77,29 +86,31 @@ class EurocWriter:
         ):  # fmt: skip
             self._imu.write(_row(1000 * t, [*w, *f]))
 
-    def close(self, t_us: IntArray, states: Array, bias: Array) -> None:
-        """Write the ground truth and finish all files.
+    def add_truth(self, t_us: IntArray, states: Array, bias: Array) -> None:
+        """Write the ground truth.
 
         Args:
-            t_us: Times of the ground truth, (m,).
+            t_us: Times, (m,).
             states: p_WI, q_WI, v_WI, (m, 10).
             bias: Biases of gyro and accelerometer, (m, 6).
         """
-        truth = self._sensor(layout.TRUTH, calibration.truth_yaml(), layout.TRUTH_HEAD)
+        file = self._sensor(layout.TRUTH, calibration.truth_yaml(), layout.TRUTH_HEAD)
         rows = np.column_stack([states, bias]).tolist()
-        truth.writelines(_row(1000 * t, row) for t, row in zip(t_us.tolist(), rows, strict=True))
-        for file in (truth, self._imu, self._load_cell, *self._cameras):
-            if file is not None:
-                file.close()
-        if self._events is not None:
-            self._events.close()
+        file.writelines(_row(1000 * t, row) for t, row in zip(t_us.tolist(), rows, strict=True))
+
+    def __enter__(self) -> "EurocWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Finish all files."""
+        self._open.close()
 
     def _sensor(self, name: str, about: str, head: str) -> TextIO:
         """Folder of a sensor with its description; its open table."""
         folder = self._mav / name
         folder.mkdir()
         (folder / layout.SENSOR).write_text(about, "utf-8")
-        file = (folder / layout.DATA).open("w", encoding="ascii")
+        file = self._open.enter_context((folder / layout.DATA).open("w", encoding="ascii"))
         file.write(head + "\n")
         return file
 
@@ -156,7 +167,7 @@ def read_frames(path: Path) -> list[tuple[int, str]]:
 
 def imu_only(imu: ImuCalibration) -> VehicleCalibration:
     """A body that carries nothing but an IMU."""
-    return VehicleCalibration(imu, (), None, None)
+    return VehicleCalibration(imu, RigCalibration((), None), None)
 
 
 def _row(t_ns: int, values: Iterable[float]) -> str:

@@ -106,10 +106,11 @@ def simulate(job: BodyJob, show: Callable[[float], None]) -> None:
         if part.exists():
             shutil.rmtree(part)
         replay = open_replay(job.config, job.seed, job.folder / layout.FLIGHT / layout.TRACK)
-        writer = EurocWriter(part, calibration_of(job.config, job.vehicle), folder.name)
-        bias = _simulate(replay, job.vehicle, writer, show)
-        truth = replay.imu_truth(job.vehicle)
-        writer.close(truth.t_us, np.column_stack([truth.p_WI, truth.q_WI, truth.v_WI]), bias)
+        with EurocWriter(part, calibration_of(job.config, job.vehicle), folder.name) as writer:
+            bias = _simulate(replay, job.vehicle, writer, show)
+            truth = replay.imu_truth(job.vehicle)
+            states = np.column_stack([truth.p_WI, truth.q_WI, truth.v_WI])
+            writer.add_truth(truth.t_us, states, bias)
         part.replace(folder)
 
 
@@ -132,7 +133,7 @@ def _simulate(
 
 
 def calibration_of(config: RunConfig, vehicle: int | None) -> VehicleCalibration:
-    """What is known of the sensors of a vehicle, or of the load."""
+    """What an estimator may know of the sensors of a vehicle, or of the load."""
     if vehicle is None:
         return imu_only(config.sensors.payload_imu.calibration())
     return config.sensors.calibration()
@@ -161,7 +162,7 @@ def _open(recording: Recording) -> list[str]:
         raise FileError(f"{path} is damaged; remove {folder} and record anew") from fault
     if found != made:
         raise FileError(
-            f"--out {folder}: holds a recording of another scenario or seed "
+            f"--out {folder}: holds a recording of another scenario, seed or settings "
             f"({found.get('name')}, seed {found.get('seed')}); give another folder"
         )
     return log if (folder / layout.LOG).is_file() else []

@@ -11,6 +11,7 @@ import numpy as np
 
 from skyhaul.evaluation import messages
 from skyhaul.evaluation.dataset import layout
+from skyhaul.evaluation.dataset.calibration import all_cameras, plain
 from skyhaul.evaluation.dataset.euroc import read_frames, read_table
 from skyhaul.evaluation.dataset.events_file import read_events
 from skyhaul.evaluation.mcap_log import McapLog, RawRecord, read_raw
@@ -78,10 +79,10 @@ def _flight(path: Path) -> Iterator[Entry]:
 def _streams(folder: Path, body: Body) -> list[Iterator[Entry]]:
     """Messages of a body's sensors, each stream in order of time."""
     out = [_imu(folder, body)]
-    for i, camera in enumerate(body.known.cameras):
+    for i, camera in enumerate(body.known.rig.cameras):
         out.append(_images(folder / "mav0" / f"cam{i}", body, camera))
-    if body.known.event_camera is not None:
-        out.append(_events(folder, body, body.known.event_camera))
+    if body.known.rig.event_camera is not None:
+        out.append(_events(folder, body, body.known.rig.event_camera))
     if body.known.load_cell_rate_hz is not None:
         out.append(_tensions(folder, body))
     return out
@@ -101,7 +102,7 @@ def _imu(folder: Path, body: Body) -> Iterator[Entry]:
 
 
 def _images(folder: Path, body: Body, camera: CameraCalibration) -> Iterator[Entry]:
-    frame = f"{body.name}/{camera.name}"
+    frame = f"{body.name}/{plain(camera.name)}"
     for k, (t_ns, name) in enumerate(read_frames(folder / layout.DATA)):
         t_us = t_ns // 1000
         head = messages.header(t_us, frame)
@@ -129,7 +130,7 @@ def _events(folder: Path, body: Body, camera: CameraCalibration) -> Iterator[Ent
     events = read_events(folder / layout.EVENTS_H5)
     if not len(events.t_us):
         return
-    topic, frame = f"/{body.name}/events", f"{body.name}/{camera.name}"
+    topic, frame = f"/{body.name}/events", f"{body.name}/{plain(camera.name)}"
     ends = np.arange(EVENTS_PERIOD_US, int(events.t_us[-1]) + EVENTS_PERIOD_US, EVENTS_PERIOD_US)
     cuts = np.searchsorted(events.t_us, ends, side="right").tolist()
     for low, high in zip([0, *cuts[:-1]], cuts, strict=True):
@@ -156,11 +157,9 @@ def _entry(stamp_us: TimeUs, topic: str, type_name: str, leaves: tuple[Any, ...]
 
 def _frames(body: Body) -> list[tuple[Any, ...]]:
     """Poses of a body's sensors on it, as geometry_msgs/TransformStamped."""
-    known, out = body.known, [_frame(body, "imu", body.known.imu)]
-    out += [_frame(body, camera.name, camera) for camera in known.cameras]
-    if known.event_camera is not None:
-        out.append(_frame(body, known.event_camera.name, known.event_camera))
-    return out
+    cameras = all_cameras(body.known.rig)
+    imu = _frame(body, "imu", body.known.imu)
+    return [imu, *(_frame(body, plain(camera.name), camera) for camera in cameras)]
 
 
 def _frame(body: Body, name: str, sensor: CameraCalibration | ImuCalibration) -> tuple[Any, ...]:
