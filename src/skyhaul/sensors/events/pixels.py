@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skyhaul.errors import GeometryError
 from skyhaul.params import Params
@@ -14,7 +15,6 @@ from skyhaul.sensors.events.kernel import (
     Change,
     Fired,
     Floats,
-    PixelLaw,
     Pixels,
     PixelState,
     PixelTraits,
@@ -22,7 +22,8 @@ from skyhaul.sensors.events.kernel import (
     advance,
 )
 from skyhaul.sensors.events.noise import waiting_times
-from skyhaul.types import US_PER_S, Array, TimeUs
+from skyhaul.sensors.events.pixel import PixelLaw
+from skyhaul.types import US_PER_S, Array, IntArray, TimeUs
 
 _LEAST_THRESHOLD = 0.01
 _STREAM = 0xE7E
@@ -193,7 +194,7 @@ class EventPixels(Params):
 
 def _in_order(fired: Fired, width: int) -> tuple[EventReading, EventLabels]:
     """Sort by time; what is simultaneous stays in the order of the pixels."""
-    order = np.argsort(fired.t_us, kind="stable")
+    order = np.argsort(_since_first(fired.t_us), kind="stable")
     pixel = fired.pixel[order]
     reading = EventReading(
         t_us=fired.t_us[order],
@@ -202,3 +203,11 @@ def _in_order(fired: Fired, width: int) -> tuple[EventReading, EventLabels]:
         p=fired.polarity[order],
     )
     return reading, EventLabels(fired.label[order])
+
+
+def _since_first(t_us: IntArray) -> NDArray[np.integer]:
+    """Times in 16 bit where they fit: those are sorted by radix, which is far faster."""
+    if t_us.size == 0:
+        return t_us
+    since = t_us - t_us.min()
+    return since.astype(np.uint16) if since.max() < 2**16 else since
