@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyhaul.geometry.camera import CameraModel
 from skyhaul.geometry.shapes import Shape
 from skyhaul.model.state import CableState, TeamState
 from skyhaul.types import Array, IntArray, Mask, TimeUs, frozen
@@ -121,3 +122,25 @@ class PayloadReading:
 
     stamp_us: TimeUs
     imu: ImuReading
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCalibration:
+    """What an estimator may know of one camera. C axes: x right, y down, z forward."""
+
+    name: str
+    model: CameraModel
+    p_BC: Array  # (3,) [m]
+    R_BC: Array  # (3, 3)
+    rate_hz: float  # images a second; 0 for an event camera
+
+    def __post_init__(self) -> None:
+        frozen(self.p_BC, self.R_BC)
+
+
+@dataclass(frozen=True, eq=False)
+class RigCalibration:
+    """What an estimator may know of a vehicle's cameras."""
+
+    cameras: tuple[CameraCalibration, ...]  # in the order of `CameraFrame.camera`
+    event_camera: CameraCalibration | None

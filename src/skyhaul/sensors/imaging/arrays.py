@@ -64,6 +64,16 @@ class Hall(NamedTuple):
     clouds: int
 
 
+class Bundle(NamedTuple):
+    """Rays that start in one place, and what is known of each. Codes of hits are the kernels'."""
+
+    ray: Array  # (3, k) unit, W axes
+    pixel: Array  # (k,) angle that the ray stands for [rad]
+    range: Array  # (k,) distance to the first hit [m]
+    hit: IntArray  # (k,) -1 nothing, 0..5 faces of the room, 6 and on parts
+    grey: Array  # (k,)
+
+
 class SceneArrays(NamedTuple):
     """All that the kernels read."""
 

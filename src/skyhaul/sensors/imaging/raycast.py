@@ -15,24 +15,14 @@ from numpy.typing import NDArray
 from skyhaul.geometry.kernels import mat_t_vec
 from skyhaul.geometry.shapes import BOX, SPHERE
 from skyhaul.jit import njit_ieee
-from skyhaul.sensors.imaging.arrays import SKY, THREAD, Hall, Parts, SceneArrays
+from skyhaul.sensors.imaging.arrays import SKY, THREAD, Bundle, Hall, Parts, SceneArrays
 from skyhaul.sensors.imaging.atlas import Grey
 from skyhaul.sensors.imaging.lens import TILE, TILE_H, TILE_W, Lens
-from skyhaul.sensors.imaging.shading import is_open, shade_part, shade_room, shade_sky
+from skyhaul.sensors.imaging.shading import shade_face, shade_part, shade_sky
 from skyhaul.types import Array, IntArray
 
 _ROOM = 6
 """Codes of hits below this are faces of the room; parts follow."""
-
-
-class Tile(NamedTuple):
-    """What is known of the pixels of one tile."""
-
-    ray: Array  # (3, TILE) unit, W axes
-    range: Array  # (TILE,) [m]
-    hit: IntArray  # (TILE,) face of the room, or 6 + part; -1 nothing
-    point: Array  # (3,)
-    direction: Array  # (3,)
 
 
 class Culling(NamedTuple):
@@ -52,7 +42,7 @@ class Frame(NamedTuple):
     range: Array  # (height, width) distance along the ray [m]; inf: sky
     object_id: NDArray[np.int16]  # (height, width) index of the object, or SKY
     flow: NDArray[np.float32]  # (height, width, 2) [px/s], filled by `optical_flow` only
-    tile: Tile
+    tile: Bundle
     culling: Culling
 
 
@@ -65,9 +55,9 @@ def blank_frame(scene: SceneArrays, lens: Lens) -> Frame:
         range=np.full((h, w), np.inf),
         object_id=np.full((h, w), SKY, dtype=np.int16),
         flow=np.zeros((h, w, 2), dtype=np.float32),
-        tile=Tile(
-            np.zeros((3, TILE)), np.zeros(TILE), np.zeros(TILE, dtype=np.int64),
-            np.zeros(3), np.zeros(3),
+        tile=Bundle(
+            np.zeros((3, TILE)), np.zeros(TILE), np.zeros(TILE),
+            np.zeros(TILE, dtype=np.int64), np.zeros(TILE),
         ),
         culling=Culling(
             np.zeros(b, dtype=np.int64), np.zeros((b, 3)), np.zeros(b), np.zeros(b),
@@ -114,7 +104,8 @@ def render(
                 _meet_sphere(scene.parts, k, p_WC, frame.tile)
             elif scene.parts.kind[k] != THREAD:
                 _meet_capsule(scene.parts, k, p_WC, frame.tile)
-        _finish(scene, lens, t, p_WC, frame)
+        _shade(scene, parts, p_WC, frame)
+        _write(scene.parts, lens, t, frame)
         for i in range(parts):
             k = frame.culling.seen[i]
             if scene.parts.kind[k] == THREAD:
@@ -160,9 +151,10 @@ def _seen(lens: Lens, t: int, count: int, culling: Culling) -> int:
 
 
 @njit_ieee
-def _aim(lens: Lens, t: int, R: Array, tile: Tile) -> None:
+def _aim(lens: Lens, t: int, R: Array, tile: Bundle) -> None:
     """Rays of tile t in W axes."""
     rays, out = lens.rays[t], tile.ray
+    tile.pixel[:] = lens.pixel[t]
     for i in range(TILE):
         x, y, z = rays[0, i], rays[1, i], rays[2, i]
         out[0, i] = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
@@ -171,7 +163,7 @@ def _aim(lens: Lens, t: int, R: Array, tile: Tile) -> None:
 
 
 @njit_ieee
-def _meet_room(hall: Hall, p: Array, tile: Tile) -> None:
+def _meet_room(hall: Hall, p: Array, tile: Bundle) -> None:
     """Where rays leave the room; a camera outside looks through the near walls."""
     l0, l1, l2 = hall.low[0] - p[0], hall.low[1] - p[1], hall.low[2] - p[2]
     h0, h1, h2 = hall.high[0] - p[0], hall.high[1] - p[1], hall.high[2] - p[2]
@@ -198,7 +190,7 @@ def _meet_room(hall: Hall, p: Array, tile: Tile) -> None:
 
 
 @njit_ieee
-def _meet_sphere(parts: Parts, k: int, p: Array, tile: Tile) -> None:
+def _meet_sphere(parts: Parts, k: int, p: Array, tile: Bundle) -> None:
     c, r = parts.p_WP[k], parts.size[k, 0]
     x, y, z = c[0] - p[0], c[1] - p[1], c[2] - p[2]
     power = x * x + y * y + z * z - r * r
@@ -213,7 +205,7 @@ def _meet_sphere(parts: Parts, k: int, p: Array, tile: Tile) -> None:
 
 
 @njit_ieee
-def _meet_box(parts: Parts, k: int, p: Array, tile: Tile) -> None:
+def _meet_box(parts: Parts, k: int, p: Array, tile: Bundle) -> None:
     R, c, s = parts.R_WP[k], parts.p_WP[k], parts.size[k]
     x, y, z = p[0] - c[0], p[1] - c[1], p[2] - c[2]
     q0, q1, q2 = mat_t_vec(R, (x, y, z))
@@ -238,7 +230,7 @@ def _meet_box(parts: Parts, k: int, p: Array, tile: Tile) -> None:
 
 
 @njit_ieee
-def _meet_capsule(parts: Parts, k: int, p: Array, tile: Tile) -> None:
+def _meet_capsule(parts: Parts, k: int, p: Array, tile: Bundle) -> None:
     for i in range(TILE):
         t = _capsule_range(parts, k, p, tile.ray[0, i], tile.ray[1, i], tile.ray[2, i])
         if t < tile.range[i]:
@@ -276,31 +268,42 @@ def _capsule_range(parts: Parts, k: int, p: Array, d0: float, d1: float, d2: flo
 
 
 @njit_ieee
-def _finish(scene: SceneArrays, lens: Lens, t: int, p: Array, frame: Frame) -> None:
-    """Shade the pixels of tile t and write them to the frame."""
+def _shade(scene: SceneArrays, parts: int, p: Array, frame: Frame) -> None:
+    """Give every ray of a tile its grey."""
+    tile, faces, solid, nothing = frame.tile, 0, False, False
+    for i in range(TILE):
+        hit = tile.hit[i]
+        if hit >= _ROOM:
+            solid = True
+        elif hit >= 0:
+            faces |= 1 << hit
+        else:
+            nothing = True
+    if nothing:
+        shade_sky(scene.hall, scene.atlas, tile)
+    for face in range(_ROOM):
+        if faces >> face & 1:
+            shade_face(scene.hall, scene.atlas, face, p, tile)
+    if solid:
+        for i in range(parts):
+            k = frame.culling.seen[i]
+            shade_part(scene.parts, scene.atlas, scene.sun, k, _ROOM + k, p, tile)
+
+
+@njit_ieee
+def _write(parts: Parts, lens: Lens, t: int, frame: Frame) -> None:
+    """Copy a tile into the frame."""
     tile, y0, x0 = frame.tile, lens.corner[t, 0], lens.corner[t, 1]
     rows, columns = min(TILE_H, lens.height - y0), min(TILE_W, lens.width - x0)
     for y in range(rows):
         for x in range(columns):
             i = y * TILE_W + x
-            far, hit = tile.range[i], tile.hit[i]
-            for c in range(3):
-                tile.direction[c] = tile.ray[c, i]
-                tile.point[c] = p[c] + far * tile.ray[c, i]
-            pixel = lens.pixel[t, i]
-            if hit < 0:
-                grey, name = shade_sky(scene, tile.direction, pixel), SKY
-            elif hit < _ROOM:
-                grey, name = shade_room(scene, hit, tile.point, tile.direction, far * pixel), hit
-                if hit == 5 and is_open(scene, tile.point):
-                    far, name = np.inf, SKY
-            else:
-                k = hit - _ROOM
-                grey = shade_part(scene, k, tile.point, tile.direction, far * pixel)
-                name = scene.parts.object[k]
-            frame.grey[y0 + y, x0 + x] = grey
-            frame.range[y0 + y, x0 + x] = far
-            frame.object_id[y0 + y, x0 + x] = name
+            hit = tile.hit[i]
+            frame.grey[y0 + y, x0 + x] = tile.grey[i]
+            frame.range[y0 + y, x0 + x] = tile.range[i]
+            if hit >= _ROOM:
+                hit = parts.object[hit - _ROOM]
+            frame.object_id[y0 + y, x0 + x] = hit if hit >= 0 else SKY
 
 
 @njit_ieee

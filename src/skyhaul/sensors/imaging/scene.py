@@ -84,7 +84,7 @@ def build_scene(team: Team, world: World, seed: int = 0) -> Scene:
     names += ["payload", *(f"vehicle {i}" for i in range(team.count))]
     names += [f"cable {i}" for i in range(team.count)]
     kinds += ["payload", *["vehicle"] * team.count, *["cable"] * team.count]  # type: ignore[list-item]
-    materials = make_materials(world.room, len(kinds), seed)
+    materials = make_materials(world.room, seed)
     parts = _parts(team, world, materials)
     arrays = SceneArrays(
         parts, _objects(len(kinds), world), _balls(parts), _hall(world, materials),
