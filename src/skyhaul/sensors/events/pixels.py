@@ -26,7 +26,6 @@ from skyhaul.sensors.events.pixel import PixelLaw
 from skyhaul.types import US_PER_S, Array, IntArray, TimeUs
 
 _LEAST_THRESHOLD = 0.01
-_STREAM = 0xE7E
 
 
 class PixelMemory(NamedTuple):
@@ -113,7 +112,9 @@ class EventPixels(Params):
         if not self.dark_level >= 1e-4:
             raise ValueError(f"dark_level must be >= 0.0001, got {self.dark_level}")
 
-    def init(self, view: View, width: int, t_us: TimeUs, stream: tuple[int, ...]) -> PixelMemory:
+    def init(
+        self, view: View, width: int, t_us: TimeUs, rng: np.random.Generator
+    ) -> PixelMemory:
         """Pixels that have looked at a view for long.
 
         Their references lie anywhere between the thresholds, as those of a camera that runs do.
@@ -122,12 +123,11 @@ class EventPixels(Params):
             view: The first rendering.
             width: Pixels a row.
             t_us: Its time [us].
-            stream: Seed and whatever tells this camera from others with the same seed.
+            rng: Draws what differs from pixel to pixel, and the key of the noise.
         """
         size = view.light.shape[0]
         if width < 1 or size % width:
             raise GeometryError(f"{size} pixels do not fill rows of {width}: give whole rows.")
-        rng = np.random.default_rng([*stream, _STREAM])
         traits, law = self._traits(rng, size), self._law(rng)
         u = self._log_light(view)
         state = PixelState(
