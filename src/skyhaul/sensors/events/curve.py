@@ -13,7 +13,7 @@ which has one extremum at most. Levels that it crosses are found on its two mono
 import math
 from typing import NamedTuple
 
-from skyhaul.jit import njit
+from skyhaul.jit import njit_ieee
 
 _STEPS = 60
 _CLOSE_US = 1e-4
@@ -28,7 +28,7 @@ class Curve(NamedTuple):
     tau: float  # [us]; 0 without a low-pass, and swing is 0 then
 
 
-@njit
+@njit_ieee
 def curve_between(u0: float, u1: float, y0: float, leak: float, dt: float, tau: float) -> Curve:
     """The curve of a pixel.
 
@@ -47,7 +47,7 @@ def curve_between(u0: float, u1: float, y0: float, leak: float, dt: float, tau: 
     return Curve(u0 - m * tau, m + leak, y0 - u0 + m * tau, tau)
 
 
-@njit
+@njit_ieee
 def curve_at(c: Curve, t: float) -> float:
     """z(t)."""
     if c.swing == 0.0:
@@ -55,7 +55,7 @@ def curve_at(c: Curve, t: float) -> float:
     return c.base + c.slope * t + c.swing * math.exp(-t / c.tau)
 
 
-@njit
+@njit_ieee
 def turning_time(c: Curve) -> float:
     """When z has its extremum; -1 when it has none after t = 0."""
     push = c.slope * c.tau  # z' = 0 where exp(-t / tau) = slope tau / swing
@@ -64,7 +64,7 @@ def turning_time(c: Curve) -> float:
     return -c.tau * math.log(push / c.swing)
 
 
-@njit
+@njit_ieee
 def time_of_level(c: Curve, level: float, low: float, high: float) -> float:
     """When z reaches a level that it crosses once within [low, high].
 
@@ -93,8 +93,10 @@ def time_of_level(c: Curve, level: float, low: float, high: float) -> float:
     return t
 
 
-@njit
-def first_crossing(c: Curve, on: float, off: float, start: float, end: float) -> tuple[float, int]:
+@njit_ieee
+def first_crossing(
+    c: Curve, on: float, off: float, start: float, end: float
+) -> tuple[float, int]:
     """First time in (start, end] at which z rises to `on` or falls to `off`.
 
     Args:

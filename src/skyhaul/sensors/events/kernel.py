@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pixels of an event camera from one rendering to the next.
+"""All pixels of an event camera from one rendering to the next.
 
-A pixel compares z, its low-passed log intensity plus leak (`curve`), with a reference. It fires ON
-when z >= reference + on and OFF when z <= reference - off; then it is held in reset for the
-refractory period, and what it sees when that ends is the new reference. Without a refractory
-period the reference therefore steps by the threshold for each event.
+Most pixels do nothing between two renderings. What they see stays between its values at both ends
+(the low-pass never overshoots), which tells so without a search; the others are walked, `pixel`.
 """
 
 import math
@@ -13,13 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from skyhaul.jit import njit
-from skyhaul.sensors.events.curve import Curve, curve_at, curve_between, first_crossing
-from skyhaul.sensors.events.noise import uniform, waiting_time
+from skyhaul.jit import njit_ieee
+from skyhaul.sensors.events.curve import curve_between
+from skyhaul.sensors.events.pixel import Interval, PixelLaw, Trait, Watch, begin, next_event
 from skyhaul.types import Array, IntArray
 
-NOISE_LABEL = -1
-_MOST_OF_A_PIXEL = 4096  # events of one pixel between two renderings
+_ROOM = 8192  # events
 _NOTHING = 1e-6  # in log intensity
 
 Floats = NDArray[np.float32]
@@ -32,15 +29,6 @@ class PixelTraits(NamedTuple):
     off: Array  # (k,) threshold of OFF events, > 0
     leak: Array  # (k,) drift of z against the reference [1/us]
     hot: Array  # (k,) rate at which a hot pixel fires by itself [1/us]
-
-
-class PixelLaw(NamedTuple):
-    """What all pixels share."""
-
-    key: np.uint64  # of the random numbers
-    refractory_us: float
-    shot: float  # rate of shot noise events in the dark [1/us]
-    shot_bright: float  # share of it that is left at intensity 1
 
 
 class PixelState(NamedTuple):
@@ -68,7 +56,7 @@ class View(NamedTuple):
 
     light: Floats  # intensity, 0 to 1
     surface: NDArray[np.int16]  # label of what is seen
-    depth: Floats  # of it [m]
+    depth: Array  # of it [m]
 
 
 class Change(NamedTuple):
@@ -89,17 +77,7 @@ class Fired(NamedTuple):
     label: NDArray[np.int16]
 
 
-class Interval(NamedTuple):
-    """What one pixel sees between two renderings."""
-
-    curve: Curve  # of z - leak (t0 - free), t from t0
-    t0_us: int
-    dt: float  # [us]
-    light: float  # intensity at the end
-    label: int  # surface that changes it
-
-
-@njit
+@njit_ieee
 def advance(
     pixels: Pixels, before: View, now: View, change: Change, t0_us: int, t1_us: int
 ) -> Fired:
@@ -116,122 +94,80 @@ def advance(
     Returns:
         The events, with stamps in [t0_us, t1_us].
     """
-    state, traits = pixels.state, pixels.traits
-    out, n, dt = _room(2 * _MOST_OF_A_PIXEL), 0, float(t1_us - t0_us)
-    for k in range(state.reference.shape[0]):
-        u0, u1 = np.float64(change.u0[k]), np.float64(change.u1[k])
-        y0, rate = np.float64(state.low_pass[k]), np.float64(change.rate[k])
-        decay = np.float64(change.decay[k])
+    low_pass, reference, free_us, noise_us, draws, cause, owed = pixels.state
+    traits_on, traits_off, traits_leak, traits_hot = pixels.traits
+    was, now_surface, light = before.surface, now.surface, now.light
+    was_depth, depth = before.depth, now.depth
+    all_u0, all_u1, rates, decays = change
+    t_us, pixel, polarity, labels = _room(_ROOM)
+    n, dt = 0, float(t1_us - t0_us)
+    for k in range(reference.shape[0]):
+        u0, u1, y0 = np.float64(all_u0[k]), np.float64(all_u1[k]), np.float64(low_pass[k])
+        rate, decay, on, off = np.float64(rates[k]), decays[k], traits_on[k], traits_off[k]
         lag = (u1 - u0) / rate
         y1 = u1 - lag + (y0 - u0 + lag) * decay
-        state.low_pass[k] = y1
-        label = now.surface[k]
-        if before.surface[k] != label or state.owed[k] != 0.0:
-            label = _cause(state, before, now, k, decay, y1 - y0, lag)
+        low_pass[k] = y1
+        label = now_surface[k]
+        if was[k] != label:
+            label = was[k] if was_depth[k] < depth[k] else label
+            cause[k], owed[k] = label, owed[k] * decay + lag * (1.0 - decay)
+        elif owed[k] != 0.0:
+            label = _cause(owed[k] * (1.0 - decay), y1 - y0, cause[k], label)
+            owed[k] = owed[k] * decay if abs(owed[k]) > _NOTHING else 0.0
+        leak, free = traits_leak[k], free_us[k] - t0_us
+        low = reference[k] + leak * free  # level of z at t0
         if (
-            max(u0, u1, y0) + traits.leak[k] * max(t1_us - state.free_us[k], 0.0)
-            >= state.reference[k] + traits.on[k]
-            or min(u0, u1, y0) <= state.reference[k] - traits.off[k]
-            or state.noise_us[k] <= t1_us
-            or state.free_us[k] >= t0_us
+            max(u0, u1, y0) + leak * dt < low + on
+            and min(u0, u1, y0) > low - off
+            and noise_us[k] > t1_us
+            and free < 0.0
         ):
-            if n + _MOST_OF_A_PIXEL > out.t_us.shape[0]:
-                out = _doubled(out, n)
-            curve = curve_between(u0, u1, y0, traits.leak[k], dt, dt / rate)
-            n = _walk(pixels, k, Interval(curve, t0_us, dt, now.light[k], label), out, n)
-    return Fired(out.t_us[:n], out.pixel[:n], out.polarity[:n], out.label[:n])
+            continue
+        trait = Trait(k, on, off, leak, traits_hot[k])
+        curve = curve_between(u0, u1, y0, leak, dt, dt / rate)
+        seen = Interval(curve, dt, light[k], label)
+        watch = begin(seen, Watch(0.0, low, free, noise_us[k] - t0_us, draws[k]))
+        while True:
+            watch, t, sign, event_label = next_event(trait, pixels.law, seen, watch)
+            if sign == 0:
+                break
+            if n == t_us.shape[0]:
+                t_us, pixel, polarity, labels = _doubled(t_us, pixel, polarity, labels)
+            t_us[n], pixel[n] = t0_us + math.floor(t + 0.5), k
+            polarity[n], labels[n] = sign, event_label
+            n += 1
+        free_us[k], reference[k] = t0_us + watch.free, watch.level - leak * watch.free
+        noise_us[k], draws[k] = t0_us + watch.noise, watch.draws
+    return Fired(t_us[:n], pixel[:n], polarity[:n], labels[:n])
 
 
-@njit
-def _cause(
-    state: PixelState, before: View, now: View, k: int, decay: float, change: float, lag: float
-) -> int:
-    """Which surface changes the pixel's low-passed light between the renderings.
+@njit_ieee
+def _cause(released: float, change: float, cause: int, surface: int) -> int:
+    """Which surface changes the low-passed light of a pixel that sees the same one as before.
 
     Where one surface covers or uncovers another it is the nearer one, whose edge passed; it stays
     the cause while most of the change is the low-pass still following that edge.
     """
-    was, label, owed = before.surface[k], now.surface[k], state.owed[k]
-    left = owed * decay
-    if was != label:
-        label = was if before.depth[k] < now.depth[k] else label
-        state.cause[k], left = label, left + lag * (1.0 - decay)
-    elif abs(owed) * (1.0 - decay) > 0.5 * abs(change):
-        label = state.cause[k]
-    state.owed[k] = left if abs(left) > _NOTHING else 0.0
-    return label
+    return cause if abs(released) > 0.5 * abs(change) else surface
 
 
-@njit
-def _walk(pixels: Pixels, k: int, seen: Interval, out: Fired, n: int) -> int:
-    """Append the events of pixel k to the n of `out`; returns their number then."""
-    state, on, off = pixels.state, pixels.traits.on[k], pixels.traits.off[k]
-    c, dt, leak = seen.curve, seen.dt, pixels.traits.leak[k]
-    last, free = n + _MOST_OF_A_PIXEL, state.free_us[k] - seen.t0_us
-    if free > dt:
-        return n
-    level, t = state.reference[k] + leak * free, max(free, 0.0)  # of c, as it leaks from t0
-    if free >= 0.0:
-        level = curve_at(c, t)
-    while n < last:
-        t_event, sign = first_crossing(c, level + on, level - off, t, dt)
-        t_noise, noise_sign = _noise_until(pixels, k, seen, t, min(t_event, dt))
-        if noise_sign != 0:
-            t_event, sign, label, level = t_noise, noise_sign, NOISE_LABEL, curve_at(c, t_noise)
-        elif sign > 0:
-            label = NOISE_LABEL if leak * (t_event - free) > 0.5 * on else seen.label
-            level += on
-        elif sign < 0:
-            label = seen.label
-            level -= off
-        else:
-            break
-        out.t_us[n] = seen.t0_us + math.floor(t_event + 0.5)
-        out.pixel[n], out.polarity[n], out.label[n] = k, sign, label
-        n += 1
-        t = free = t_event + pixels.law.refractory_us
-        if t > dt:
-            break
-        if free > t_event:
-            level = curve_at(c, t)
-    state.free_us[k] = seen.t0_us + free
-    state.reference[k] = level - leak * free
-    return n
-
-
-@njit
-def _noise_until(
-    pixels: Pixels, k: int, seen: Interval, begin: float, end: float
-) -> tuple[float, int]:
-    """First noise event of pixel k in [begin, end], since t0: time [us] and polarity, or 0.
-
-    Times are drawn at the rate in the dark, and thinned to the rate at the pixel's intensity.
-    """
-    state, law, hot = pixels.state, pixels.law, pixels.traits.hot[k]
-    most = law.shot + hot
-    rate = law.shot * (1.0 - (1.0 - law.shot_bright) * min(seen.light, 1.0)) + hot
-    while state.noise_us[k] - seen.t0_us <= end:
-        t = state.noise_us[k] - seen.t0_us
-        lot = uniform(law.key, k, state.draws[k]) * most
-        state.noise_us[k] += waiting_time(law.key, k, state.draws[k] + 1, most)
-        state.draws[k] += 2
-        if t >= begin and lot < rate:
-            return t, 1 if lot < 0.5 * rate else -1
-    return 0.0, 0
-
-
-@njit
-def _room(n: int) -> Fired:
+@njit_ieee
+def _room(
+    n: int,
+) -> tuple[IntArray, NDArray[np.int32], NDArray[np.int8], NDArray[np.int16]]:
     """Space for n events."""
-    return Fired(
-        np.empty(n, np.int64), np.empty(n, np.int32), np.empty(n, np.int8), np.empty(n, np.int16)
-    )
+    return np.empty(n, np.int64), np.empty(n, np.int32), np.empty(n, np.int8), np.empty(n, np.int16)
 
 
-@njit
-def _doubled(f: Fired, n: int) -> Fired:
-    """The first n events, in twice the space."""
-    out = _room(2 * f.t_us.shape[0])
-    out.t_us[:n], out.pixel[:n] = f.t_us[:n], f.pixel[:n]
-    out.polarity[:n], out.label[:n] = f.polarity[:n], f.label[:n]
+@njit_ieee
+def _doubled(
+    t_us: IntArray,
+    pixel: NDArray[np.int32],
+    polarity: NDArray[np.int8],
+    label: NDArray[np.int16],
+) -> tuple[IntArray, NDArray[np.int32], NDArray[np.int8], NDArray[np.int16]]:
+    """The same events in twice the space."""
+    n = t_us.shape[0]
+    out = _room(2 * n)
+    out[0][:n], out[1][:n], out[2][:n], out[3][:n] = t_us, pixel, polarity, label
     return out

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from skyhaul.jit import njit
+from skyhaul.jit import njit_ieee
 from skyhaul.types import Array
 
 _PIXEL = np.uint64(0x9E3779B97F4A7C15)
@@ -23,7 +23,7 @@ _S27, _S30, _S31, _S11 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(
 _ULP = 2.0**-53
 
 
-@njit
+@njit_ieee
 def mix(z: np.uint64) -> np.uint64:
     """Spread every bit of z over all bits."""
     z = (z ^ (z >> _S30)) * _MIX_A
@@ -31,20 +31,20 @@ def mix(z: np.uint64) -> np.uint64:
     return z ^ (z >> _S31)
 
 
-@njit
+@njit_ieee
 def uniform(key: np.uint64, pixel: int, count: int) -> float:
     """A number in (0, 1): draw `count` of a pixel."""
     z = mix(mix(key + np.uint64(pixel) * _PIXEL) + np.uint64(count) * _COUNT)
     return (np.float64(z >> _S11) + 0.5) * _ULP
 
 
-@njit
+@njit_ieee
 def waiting_time(key: np.uint64, pixel: int, count: int, rate: float) -> float:
     """Time to the next event of a Poisson process, in the unit of 1 / rate; endless at rate 0."""
     return -math.log(uniform(key, pixel, count)) / rate if rate > 0.0 else math.inf
 
 
-@njit
+@njit_ieee
 def waiting_times(key: np.uint64, rates: Array) -> Array:
     """Draw 0 of every pixel as a waiting time, (k,); rates (k,)."""
     out = np.empty(rates.shape[0])
