@@ -104,7 +104,7 @@ def samples(track: TruthTrack) -> tuple[Array, Array]:
 def drifts(track: TruthTrack) -> dict[str, dict[str, float]]:
     """Largest distance from the true way at the end of a window [mm], by body and by sampling."""
     gyro, accel = samples(track)
-    arm = np.array(Imu().position_m)
+    arm = np.array(Imu().p_BI_m)
     out: dict[str, dict[str, float]] = {}
     for b, name in enumerate(NAMES):
         q = track.q_WL if b == 0 else track.q_WB[:, b - 1]

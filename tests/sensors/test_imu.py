@@ -75,7 +75,7 @@ def test_a_turned_imu_reads_gravity_in_its_own_axes() -> None:
 
 def test_off_the_axis_of_a_steady_turn_it_reads_the_centripetal_acceleration() -> None:
     rate, arm = 7.0, np.array([0.05, 0.02, 0.03])
-    imu = replace(EXACT, position_m=tuple(arm))
+    imu = replace(EXACT, p_BI_m=tuple(arm))
     w = np.array([0.0, 0.0, rate])
     turning = [motion(quat_exp(w * STEP_S * k), np.zeros(3), w) for k in range(10)]
     ((_, gyro, accel),) = run(imu_bank([imu], [VEHICLE]), turning)
@@ -87,7 +87,7 @@ def test_off_the_axis_of_a_steady_turn_it_reads_the_centripetal_acceleration() -
 
 def test_the_arm_feels_angular_acceleration() -> None:
     alpha, arm = 20.0, 0.1
-    imu = replace(EXACT, position_m=(arm, 0.0, 0.0))
+    imu = replace(EXACT, p_BI_m=(arm, 0.0, 0.0))
     spins = [
         motion(quat_exp(np.array([0, 0, 0.5 * alpha * t * t])), np.zeros(3), [0, 0, alpha * t])
         for t in STEP_S * np.arange(3)
@@ -135,7 +135,7 @@ def integrate(q, p, v, gyro, accel):
 
 
 def test_exact_readings_lead_back_to_the_true_place_and_attitude() -> None:
-    arm = np.array(EXACT.position_m)
+    arm = np.array(EXACT.p_BI_m)
     truths = flight(2.0)
     assert any(t.contacts for t in truths), "the team tumbles and crashes on the way"
     wide = replace(EXACT, gyro_range_radps=100.0, accel_range_mps2=1e4)
@@ -218,7 +218,7 @@ def test_noise_and_walk_have_the_density_they_are_given() -> None:
 
 
 def test_each_imu_of_a_bank_reads_as_if_it_were_alone() -> None:
-    kinds, bodies = [Imu(), Imu(rate_hz=100), Imu(position_m=(0.0, 0.1, 0.0))], [0, 2, 1]
+    kinds, bodies = [Imu(), Imu(rate_hz=100), Imu(p_BI_m=(0.0, 0.1, 0.0))], [0, 2, 1]
     q = np.array([so3_exp(np.array([0.01 * k, 0.02, 0.0])) for k in range(BLOCK + 30)])
     moves = [motion(quat_exp(np.array([0.01 * k, 0.02, 0.0])), (0.1 * k, 0, 0), (5, 0, 0), n=2)
              for k in range(len(q))]  # fmt: skip

@@ -14,11 +14,13 @@ from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.sensors.config import SensorsConfig
 from skyhaul.sensors.faults import ImuGap
 from skyhaul.sensors.load_cell import LoadCell
+from skyhaul.sensors.rig import RigParams
 from skyhaul.sensors.truth_track import TrackWriter, TruthTrack, load_track
 from skyhaul.world.load import load_config
-from skyhaul.world.scenario import Scenario
+from skyhaul.world.scenario import Scenario, World
 
 SENSORS = SensorsConfig(
+    rig=RigParams(cameras=(), event_camera=None),
     load_cell=LoadCell(),
     faults=(
         ImuGap(vehicle=1, start_s=0.1, duration_s=0.1),
@@ -49,7 +51,7 @@ def bytes_of(readings) -> bytes:
 
 
 def alone(track: TruthTrack, vehicle: int) -> bytes:
-    suite, out = SENSORS.vehicle_suite(vehicle), []
+    suite, out = SENSORS.vehicle_suite(Team(), World(), vehicle), []
     memory = suite.init(SEED)
     for truth in track.truths():
         memory, reading, _ = suite.step(memory, truth)
@@ -62,7 +64,7 @@ def alone_from_file(path: Path, vehicle: int) -> bytes:
 
 
 def test_replay_gives_the_bytes_of_the_flight(track) -> None:
-    team = SENSORS.team_suite(Team())
+    team = SENSORS.team_suite(Team(), World())
     memory, payload, vehicles = team.init(SEED), [], [[] for _ in range(4)]
     for truth in track.truths():
         memory, load, readings = team.step(memory, truth)
@@ -93,7 +95,7 @@ def test_two_worker_processes_give_the_same_bytes(track, tmp_path) -> None:
 
 
 def test_faults_hit_only_whom_they_name(track) -> None:
-    suite = SENSORS.vehicle_suite(1)
+    suite = SENSORS.vehicle_suite(Team(), World(), 1)
     memory, samples = suite.init(SEED), []
     for truth in track.truths():
         memory, reading, _ = suite.step(memory, truth)
@@ -101,11 +103,11 @@ def test_faults_hit_only_whom_they_name(track) -> None:
     missing = {1_000 + 2_000 * k for k in range(600)} - set(samples)
     assert missing == {99_000 + 2_000 * k for k in range(50)}  # delivered in [0.1, 0.2) s
     clean = replace(SENSORS, faults=())
-    assert clean.vehicle_suite(0).sensors.script.faults == ()
+    assert clean.vehicle_suite(Team(), World(), 0).sensors.script.faults == ()
 
 
 def test_the_truth_beside_the_reading_is_the_imus_bias(track) -> None:
-    suite = SENSORS.vehicle_suite(0)
+    suite = SENSORS.vehicle_suite(Team(), World(), 0)
     memory = suite.init(SEED)
     start = memory.imu.bias[0]
     for truth in track.truths():

@@ -91,7 +91,8 @@ class Replay:
 
     def readings(self, vehicle: int) -> Iterator[tuple[VehicleReading, SensorTruth]]:
         """What a vehicle's sensors deliver at each step, and what they do not tell."""
-        suite = self.config.sensors.vehicle_suite(vehicle)
+        config = self.config
+        suite = config.sensors.vehicle_suite(config.team, config.world, vehicle)
         memory = suite.init(self.seed)
         for truth in self.track.truths():
             memory, reading, beside = suite.step(memory, truth)

@@ -50,7 +50,7 @@ class Imu(Params):
 
     rate_hz: int = 500
     """Samples a second; divides the 500 steps of the plant [Hz]."""
-    position_m: Vec3 = (0.01, 0.0, 0.01)
+    p_BI_m: Vec3 = (0.01, 0.0, 0.01)
     """Place in the body, from its centre of mass [m]."""
     rotation_deg: Vec3 = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw of the IMU's axes in the body [deg]."""
@@ -115,7 +115,7 @@ class Imu(Params):
         """What an estimator may know of it."""
         return ImuCalibration(
             rate_hz=self.rate_hz,
-            p_BI=np.array(self.position_m, dtype=np.float64),
+            p_BI=np.array(self.p_BI_m, dtype=np.float64),
             R_BI=self.R_BI,
             gyro_noise=self.gyro_noise_radps_per_sqrt_hz,
             accel_noise=self.accel_noise_mps2_per_sqrt_hz,
@@ -240,7 +240,7 @@ def imu_bank(imus: Sequence[Imu], bodies: Sequence[int]) -> ImuBank:
     arrays = ImuArrays(
         body=np.array(bodies, dtype=np.int64),
         every=np.array([i.every for i in imus], dtype=np.int64),
-        p_BI=np.array([i.position_m for i in imus], dtype=np.float64),
+        p_BI=np.array([i.p_BI_m for i in imus], dtype=np.float64),
         R_BI=np.array([i.R_BI for i in imus]),
         white=np.array([i.white() for i in imus]),
         walk=np.array([i.walk() for i in imus]),

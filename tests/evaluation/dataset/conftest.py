@@ -32,7 +32,7 @@ FISH = Equidistant(
 
 
 def known_vehicle() -> VehicleCalibration:
-    imu = Imu(position_m=(0.02, -0.01, 0.03), rotation_deg=(2.0, -3.0, 40.0), clock_offset_us=250)
+    imu = Imu(p_BI_m=(0.02, -0.01, 0.03), rotation_deg=(2.0, -3.0, 40.0), clock_offset_us=250)
     front = CameraCalibration(
         "front left", WIDE, np.array([0.05, 0.04, 0.01]), euler_to_R(np.array([1.0, 0.4, -0.7])),
         10.0,

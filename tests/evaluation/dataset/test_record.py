@@ -18,6 +18,7 @@ from skyhaul.errors import FileError
 from skyhaul.evaluation.dataset.euroc import read_table
 from skyhaul.evaluation.dataset.record import Recording, Show, record
 from skyhaul.evaluation.mcap_log import McapLog
+from skyhaul.geometry.camera import Equidistant, RadTan
 from skyhaul.geometry.kernels import quat_exp, quat_mul
 from skyhaul.geometry.quaternion import quat_rotate
 from skyhaul.mission.api import Outcome
@@ -26,9 +27,17 @@ from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.sensors.config import SensorsConfig
 from skyhaul.sensors.imu import Imu, without_errors
 from skyhaul.sensors.load_cell import LoadCell
+from skyhaul.sensors.rig import CameraMount, EventCameraMount, RigParams
 from skyhaul.world.load import load_config
 
 STEPS = 120
+BLIND = RigParams(cameras=(), event_camera=None)
+SMALL = RigParams(
+    cameras=(
+        CameraMount(name="front", model=RadTan.from_fov((32, 24), 80.0), p_BC_m=(0.05, 0.0, 0.0)),
+    ),
+    event_camera=EventCameraMount(model=Equidistant.from_fov((24, 16), 140.0)),
+)
 
 
 class Folder:
@@ -73,7 +82,7 @@ def flights(monkeypatch):
 
 def recording(folder: Path, vehicles=(0, 1), workers=1, sensors=None, seed=3) -> Recording:
     config = load_config(RunConfig, "hover")
-    sensors = sensors or SensorsConfig(load_cell=LoadCell())
+    sensors = sensors or SensorsConfig(rig=BLIND, load_cell=LoadCell())
     return Recording(replace(config, sensors=sensors), seed, folder, vehicles, workers)
 
 
@@ -103,7 +112,7 @@ def test_a_recording_holds_every_body_and_no_part_of_anything(flights, tmp_path)
 
 
 def test_exact_imu_tables_lead_along_the_ground_truth(flights, tmp_path) -> None:
-    sensors = SensorsConfig(imu=without_errors(Imu(rotation_deg=(10.0, 20.0, 30.0))))
+    sensors = SensorsConfig(rig=BLIND, imu=without_errors(Imu(rotation_deg=(10.0, 20.0, 30.0))))
     record(recording(tmp_path / "set", (2,), sensors=sensors), quiet())
     mav = tmp_path / "set" / "vehicle_2" / "mav0"
     _, samples = read_table(mav / "imu0" / "data.csv")
@@ -122,20 +131,24 @@ def test_exact_imu_tables_lead_along_the_ground_truth(flights, tmp_path) -> None
 
 
 def test_the_same_seed_gives_the_same_bytes_in_any_order(flights, tmp_path) -> None:
-    record(recording(tmp_path / "a"), quiet())
-    record(recording(tmp_path / "b", (1,)), quiet())
-    record(recording(tmp_path / "b"), quiet())
+    seeing = SensorsConfig(rig=SMALL)
+    record(recording(tmp_path / "a", sensors=seeing), quiet())
+    record(recording(tmp_path / "b", (1,), sensors=seeing), quiet())
+    record(recording(tmp_path / "b", sensors=seeing), quiet())
     a, b = files_of(tmp_path / "a"), files_of(tmp_path / "b")
     assert a.keys() == b.keys()
     assert [name for name in a if a[name] != b[name]] == []
-    record(recording(tmp_path / "c", seed=4), quiet())
+    assert sum(name.endswith(".png") for name in a) == 6
+    assert a["vehicle_0/events.txt"].count(b"\n") > 20
+    record(recording(tmp_path / "c", (0,), sensors=seeing, seed=4), quiet())
     assert files_of(tmp_path / "c" / "vehicle_0") != files_of(tmp_path / "a" / "vehicle_0")
 
 
 @pytest.mark.slow
 def test_two_worker_processes_give_the_same_bytes(flights, tmp_path) -> None:
-    record(recording(tmp_path / "a"), quiet())
-    record(recording(tmp_path / "b", workers=2), quiet())
+    seeing = SensorsConfig(rig=SMALL)
+    record(recording(tmp_path / "a", sensors=seeing), quiet())
+    record(recording(tmp_path / "b", workers=2, sensors=seeing), quiet())
     a, b = files_of(tmp_path / "a"), files_of(tmp_path / "b")
     assert a.keys() == b.keys()
     assert [name for name in a if a[name] != b[name]] == []
@@ -178,7 +191,10 @@ def test_a_folder_of_something_else_is_refused(flights, tmp_path) -> None:
     with pytest.raises(FileError, match=r"another scenario, seed or settings \(hover, seed 3\)"):
         record(recording(tmp_path / "set", seed=9), quiet())
     with pytest.raises(FileError, match="another scenario, seed or settings"):
-        record(recording(tmp_path / "set", sensors=SensorsConfig(imu=Imu(rate_hz=100))), quiet())
+        record(
+            recording(tmp_path / "set", sensors=SensorsConfig(rig=BLIND, imu=Imu(rate_hz=100))),
+            quiet(),
+        )
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("")
     with pytest.raises(FileError, match="is not empty; give a new or an empty folder"):
@@ -202,7 +218,8 @@ def test_a_disk_that_refuses_is_one_sentence(flights, tmp_path, monkeypatch) -> 
 
 def test_the_command_records_and_says_where(flights, tmp_path, capsys) -> None:
     argv = ["record", "hover", "--dataset", "euroc", "--out", str(tmp_path / "set")]
-    assert main([*argv, "--vehicles", "2,0"]) == 0
+    blind = ["--set", "sensors.rig.cameras=[]", "sensors.rig.event_camera=null"]
+    assert main([*argv, "--vehicles", "2,0", *blind]) == 0
     assert "mission done" in capsys.readouterr().out
     assert {p.name for p in (tmp_path / "set").iterdir()} >= {"vehicle_0", "vehicle_2", "payload"}
 
