@@ -139,7 +139,7 @@ def test_the_same_seed_gives_the_same_bytes_in_any_order(flights, tmp_path) -> N
     assert a.keys() == b.keys()
     assert [name for name in a if a[name] != b[name]] == []
     assert sum(name.endswith(".png") for name in a) == 6
-    assert a["vehicle_0/events.txt"].count(b"\n") > 20
+    assert a["vehicle_0/events.txt"].count(b"\n") > 9
     record(recording(tmp_path / "c", (0,), sensors=seeing, seed=4), quiet())
     assert files_of(tmp_path / "c" / "vehicle_0") != files_of(tmp_path / "a" / "vehicle_0")
 
