@@ -12,6 +12,7 @@ from skyhaul.evaluation.recorder import RunRecorder
 from skyhaul.mapping.api import OccupancyGrid
 from skyhaul.mapping.mapper import static_map
 from skyhaul.mission.api import Outcome, Phase, Replan, Solve, Tick, Trigger
+from skyhaul.mission.replay import TrackRecorder
 from skyhaul.model.envelope import TeamShape
 from skyhaul.perception.team.truth import TruthTeam
 from skyhaul.planning.api import Plan, PlanStatus, ReferencePlan, ReferenceStatus
@@ -21,9 +22,12 @@ from skyhaul.sensors.perfect import PerfectState
 from skyhaul.world.scenario import AirStart, HoverTask, Scenario
 
 SCENARIO = Scenario(start=AirStart(payload_m=(5.0, 5.0, 5.0)), task=HoverTask())
-RECORDERS = [lambda folder: RunRecorder(folder, SCENARIO, 0)]
+RECORDERS = [
+    lambda folder: RunRecorder(folder, SCENARIO, 0),
+    lambda folder: TrackRecorder(RunRecorder(folder, SCENARIO, 0)),
+]
 
-every_recorder = pytest.mark.parametrize("make", RECORDERS, ids=["run-folder"])
+every_recorder = pytest.mark.parametrize("make", RECORDERS, ids=["run-folder", "track"])
 END = Outcome(success=True, reason="task done", end_us=0, cpu_s={"plant": 0.1}, wall_s=0.2)
 GRID = OccupancyGrid(np.zeros((4, 4, 4), bool), np.zeros(3), 0.1)
 WORLD = static_map(GRID, TeamShape(radius_m=0.3, above_m=0.4, below_m=0.1))

@@ -12,11 +12,11 @@ from importlib import metadata
 import numpy as np
 
 from skyhaul.control.failure import FailureRow, single_failure_table
+from skyhaul.mission.config import RunConfig
 from skyhaul.model.envelope import team_shape
 from skyhaul.model.team import Team
 from skyhaul.world.check import hover_thrusts
 from skyhaul.world.load import load_config
-from skyhaul.world.scenario import Scenario
 
 PACKAGES = [
     "numpy",
@@ -28,6 +28,8 @@ PACKAGES = [
     "pyyaml",
     "rich",
     "mcap",
+    "opencv-contrib-python-headless",
+    "h5py",
     "pyarrow",
     "plotly",
     "av",
@@ -41,7 +43,7 @@ def doctor(args: argparse.Namespace) -> int:
     for name, value in machine():
         print(f"{name:<12} {value}")
     if args.scenario is not None:
-        scenario = load_config(Scenario, args.scenario)
+        scenario = load_config(RunConfig, args.scenario)
         print(f"\nteam of {scenario.name}")
         for name, value in team_margins(scenario.team):
             print(f"  {name:<28} {value}")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyhaul.geometry.camera import CameraModel
 from skyhaul.geometry.shapes import Shape
 from skyhaul.model.state import CableState, TeamState
 from skyhaul.types import Array, IntArray, Mask, TimeUs, frozen
@@ -55,6 +56,23 @@ class ImuReading:
 
     def __post_init__(self) -> None:
         frozen(self.stamp_us, self.gyro_I, self.accel_I)
+
+
+@dataclass(frozen=True, eq=False)
+class ImuCalibration:
+    """What an estimator may know of an IMU."""
+
+    rate_hz: int
+    p_BI: Array  # (3,) place in the body, from its centre of mass [m]
+    R_BI: Array  # (3, 3)
+    gyro_noise: float  # white noise [rad/s/sqrt(Hz)]
+    accel_noise: float  # white noise [m/s^2/sqrt(Hz)]
+    gyro_walk: float  # random walk of the bias [rad/s^2/sqrt(Hz)]
+    accel_walk: float  # random walk of the bias [m/s^3/sqrt(Hz)]
+    clock_offset_us: TimeUs  # its clock is ahead of true time by this
+
+    def __post_init__(self) -> None:
+        frozen(self.p_BI, self.R_BI)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,3 +139,45 @@ class PayloadReading:
 
     stamp_us: TimeUs
     imu: ImuReading
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCalibration:
+    """What an estimator may know of one camera. C axes: x right, y down, z forward."""
+
+    name: str
+    model: CameraModel
+    p_BC: Array  # (3,) [m]
+    R_BC: Array  # (3, 3)
+    rate_hz: float  # images a second; 0 for an event camera
+
+    def __post_init__(self) -> None:
+        frozen(self.p_BC, self.R_BC)
+
+
+@dataclass(frozen=True, eq=False)
+class RigCalibration:
+    """What an estimator may know of a vehicle's cameras."""
+
+    cameras: tuple[CameraCalibration, ...]  # in the order of `CameraFrame.camera`
+    event_camera: CameraCalibration | None
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleCalibration:
+    """What an estimator may know of a body's sensors."""
+
+    imu: ImuCalibration
+    rig: RigCalibration
+    load_cell_rate_hz: float | None  # None without one
+
+
+@dataclass(frozen=True, eq=False)
+class SensorTruth:
+    """What a vehicle's sensors know and do not tell. Only training and evaluation read it."""
+
+    labels: EventLabels | None  # of the events of the same reading
+    imu_bias: Array  # (6,) of gyro and accelerometer now [rad/s, m/s^2]
+
+    def __post_init__(self) -> None:
+        frozen(self.imu_bias)

@@ -2,6 +2,7 @@
 """The scenario: everything that is given before the flight."""
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Literal
 
 from skyhaul.model.team import Team
@@ -91,8 +92,55 @@ class Gust(Params):
 
 
 @dataclass(frozen=True, kw_only=True)
+class LightChange(Params):
+    """The light rises or falls to another level."""
+
+    at_s: float
+    """When it begins [s]."""
+    level: float
+    """Level afterwards, 1 is a lit hall."""
+    ramp_s: float = 0.0
+    """How long it takes, along a straight line [s]."""
+
+    def __post_init__(self) -> None:
+        for name in ("at_s", "level", "ramp_s"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} must be >= 0, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Light(Params):
+    """How bright the hall is lit over time; only cameras notice."""
+
+    level: float = 1.0
+    """Level at the start, 1 is a lit hall."""
+    changes: tuple[LightChange, ...] = ()
+    """Changes, in order of time; each begins after the one before has ended."""
+
+    def __post_init__(self) -> None:
+        if not self.level >= 0.0:
+            raise ValueError(f"level must be >= 0, got {self.level}")
+        for a, b in pairwise(self.changes):
+            if b.at_s < a.at_s + a.ramp_s:
+                raise ValueError(
+                    f"changes must not overlap: one runs from {a.at_s} to {a.at_s + a.ramp_s} s, "
+                    f"the next begins at {b.at_s} s"
+                )
+
+    def at(self, t_s: float) -> float:
+        """Level at a time [s]."""
+        level = self.level
+        for change in self.changes:
+            if t_s < change.at_s:
+                break
+            done = (t_s - change.at_s) / change.ramp_s if change.ramp_s > 0.0 else 1.0
+            level += min(done, 1.0) * (change.level - level)
+        return level
+
+
+@dataclass(frozen=True, kw_only=True)
 class World(Params):
-    """Room, map, obstacles, wind."""
+    """Room, map, obstacles, wind, light."""
 
     room: Room = field(default_factory=Room)
     """Floor, walls, ceiling."""
@@ -102,6 +150,8 @@ class World(Params):
     """Static and moving obstacles."""
     wind: Wind = field(default_factory=Wind)
     """Moving air."""
+    light: Light = field(default_factory=Light)
+    """How bright it is."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cameras of a vehicle: which, where, looking which way.
+
+Azimuth 0 looks forward (x_B), 90 to the left; elevation 90 looks up. With roll 0 the image is
+upright: its x axis is level. Default rig, fields of view from edge to edge:
+
+    front left, front right   stereo pair, 8 cm apart, pitched up 25 deg, 84 x 67 deg
+    rear                      azimuth 180, pitched down 20 deg, 84 x 67 deg
+    down                      canted 19 deg from straight down towards the load, 68 x 53 deg
+    event camera              forward, 5 deg up, fisheye of 150 x 113 deg
+
+The stereo pair shares all it sees beyond half a metre, rear and down share 20 deg, and the event
+camera sees all that the stereo pair sees but for its upper rim. Vehicles face away from the load:
+it lies behind and below, 26 deg from straight down, up to 45 deg to either side.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skyhaul.geometry.camera import CameraModel, Equidistant, RadTan
+from skyhaul.params import Params
+from skyhaul.plant.api import PLANT_STEP_US
+from skyhaul.sensors.api import CameraCalibration, RigCalibration
+from skyhaul.sensors.imaging.photometry import Photometry
+from skyhaul.types import US_PER_S, Array, TimeUs, Vec3
+
+EUROC_DISTORTION = (-0.283, 0.074, 0.0002, 0.00002)
+"""Of camera 0 of the EuRoC data set, a usual wide lens."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraMount(Params):
+    """One camera and where it sits."""
+
+    name: str
+    """Unique name in the rig."""
+    model: CameraModel
+    """Size, focal length, distortion."""
+    p_BC_m: Vec3
+    """Optical centre in body axes, from the centre of mass [m]."""
+    azimuth_deg: float = 0.0
+    """Where the optical axis points, from x_B to the left [deg]."""
+    elevation_deg: float = 0.0
+    """How far it points up [deg]."""
+    roll_deg: float = 0.0
+    """Turn of the camera about its optical axis, clockwise as it sees the world tilt left [deg]."""
+    rate_hz: float = 10.0
+    """Images a second [Hz]."""
+    photometry: Photometry = field(default_factory=Photometry)
+    """Exposure, noise, vignetting."""
+
+    def __post_init__(self) -> None:
+        _check_name(self.name)
+        period_us = US_PER_S / self.rate_hz if self.rate_hz > 0.0 else 0.0
+        if not (period_us >= PLANT_STEP_US and period_us % PLANT_STEP_US == 0.0):
+            raise ValueError(
+                f"rate_hz must divide the {US_PER_S // PLANT_STEP_US} steps a second of the plant, "
+                f"as 5, 10, 20 or 25 do, got {self.rate_hz}"
+            )
+
+    @property
+    def period_us(self) -> TimeUs:
+        """Time between two images [us]."""
+        return round(US_PER_S / self.rate_hz)
+
+    def calibration(self) -> CameraCalibration:
+        """What an estimator may know of it."""
+        R = mount_rotation(self.azimuth_deg, self.elevation_deg, self.roll_deg)
+        return CameraCalibration(self.name, self.model, np.array(self.p_BC_m), R, self.rate_hz)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EventCameraMount(Params):
+    """The event camera's lens and where it sits."""
+
+    name: str = "events"
+    """Unique name in the rig."""
+    model: CameraModel = field(
+        default_factory=lambda: Equidistant.from_fov((160, 120), 150.0, (-0.02, 0.003, 0.0, 0.0))
+    )
+    """Size, focal length, distortion."""
+    p_BC_m: Vec3 = (0.055, 0.0, 0.025)
+    """Optical centre in body axes, from the centre of mass [m]."""
+    azimuth_deg: float = 0.0
+    """Where the optical axis points, from x_B to the left [deg]."""
+    elevation_deg: float = 5.0
+    """How far it points up [deg]."""
+    roll_deg: float = 0.0
+    """Turn of the camera about its optical axis [deg]."""
+
+    def __post_init__(self) -> None:
+        _check_name(self.name)
+
+    def calibration(self) -> CameraCalibration:
+        """What an estimator may know of it."""
+        R = mount_rotation(self.azimuth_deg, self.elevation_deg, self.roll_deg)
+        return CameraCalibration(self.name, self.model, np.array(self.p_BC_m), R, 0.0)
+
+
+def _default_cameras() -> tuple[CameraMount, ...]:
+    wide = RadTan.from_fov((320, 240), 84.0, EUROC_DISTORTION)
+    sharp = RadTan.from_fov((320, 240), 68.0, EUROC_DISTORTION)
+    return (
+        CameraMount(name="front left", model=wide, p_BC_m=(0.05, 0.04, 0.01), elevation_deg=25.0),
+        CameraMount(name="front right", model=wide, p_BC_m=(0.05, -0.04, 0.01), elevation_deg=25.0),
+        CameraMount(
+            name="rear", model=wide, p_BC_m=(-0.05, 0.0, 0.0),
+            azimuth_deg=180.0, elevation_deg=-20.0,
+        ),
+        CameraMount(
+            name="down", model=sharp, p_BC_m=(0.02, 0.0, -0.025),
+            azimuth_deg=180.0, elevation_deg=-71.0,
+        ),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigParams(Params):
+    """All cameras of a vehicle."""
+
+    cameras: tuple[CameraMount, ...] = field(default_factory=_default_cameras)
+    """Cameras, in the order of `CameraFrame.camera`."""
+    event_camera: EventCameraMount | None = field(default_factory=EventCameraMount)
+    """The event camera, if there is one."""
+
+    def __post_init__(self) -> None:
+        names = [c.name for c in self.cameras]
+        names += [self.event_camera.name] if self.event_camera else []
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"cameras must have unique names, got {name!r} twice")
+
+    def calibration(self) -> RigCalibration:
+        """What an estimator may know of the rig."""
+        event = self.event_camera.calibration() if self.event_camera else None
+        return RigCalibration(tuple(c.calibration() for c in self.cameras), event)
+
+
+def mount_rotation(azimuth_deg: float, elevation_deg: float, roll_deg: float) -> Array:
+    """R_BC of a camera, (3, 3): x right, y down, z along the optical axis.
+
+    Args:
+        azimuth_deg: Of the optical axis, from x_B to the left [deg].
+        elevation_deg: Of the optical axis [deg].
+        roll_deg: Turn about the optical axis, x towards y [deg].
+    """
+    a, e, r = (math.radians(v) for v in (azimuth_deg, elevation_deg, roll_deg))
+    z = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+    x = np.array([math.sin(a), -math.cos(a), 0.0])
+    y = np.cross(z, x)
+    c, s = math.cos(r), math.sin(r)
+    return np.column_stack([c * x + s * y, c * y - s * x, z])
+
+
+def _check_name(name: str) -> None:
+    if not name:
+        raise ValueError("name must not be empty")
