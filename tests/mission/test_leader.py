@@ -183,8 +183,8 @@ def test_a_mover_over_a_station_holds_the_take_off(ensemble, make_ensemble, grou
 def test_a_team_that_rests_for_a_mover_looks_for_a_better_way_often(journey):
     leader, e = journey
     replan(leader, 0, "corridor_free")
-    rests = resting_reference(HOME, 0.0, 0, dt_us=4_000_000)
     for waits_us, cause in ((1_000_000, "corridor_free"), (0, None)):
+        rests = resting_reference(HOME, 0.0, 0, dt_us=4_000_000)
         result = ReferencePlan(
             ReferenceStatus.OK, Plan(PlanStatus.FOUND), rests, waits_us, reaches_goal=True
         )

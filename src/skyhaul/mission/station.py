@@ -44,7 +44,7 @@ class StationParams(Params):
 
     speed_mps: float = 1.3
     """Largest speed on the way [m/s]."""
-    slack_share: float = 0.985
+    slack_share: float = 0.995
     """The station lies this share of the cable length from the hook."""
     creep_mps: float = 0.15
     """Speed of the creep that tautens the cable [m/s]."""
@@ -100,7 +100,7 @@ class StationParams(Params):
 class TakeOffParams(Params):
     """How long the steps of a take-off last, and how far it keeps off movers."""
 
-    tauten_s: float = 0.7
+    tauten_s: float = 0.6
     """From the stations until all cables are known to be taut [s]."""
     rise_s: float = 0.3
     """From the first pull at full weight until the load leaves the floor [s]."""
