@@ -53,6 +53,8 @@ def parser() -> argparse.ArgumentParser:
     report.add_argument("run", metavar="RUN", type=Path, help="run folder")
     report.add_argument("--video", action="store_true", help="also make an MP4 (extra `video`)")
 
+    _add_record(commands.add_parser("record", parents=[shared], help="make a sensor data set"))
+
     commands.add_parser("scenarios", parents=[shared], help="list the scenarios that ship")
 
     config = commands.add_parser("config", parents=[shared], help="print the whole configuration")
@@ -76,6 +78,10 @@ def command(name: str) -> Callable[[argparse.Namespace], int]:
             from skyhaul.cli.report import report
 
             return report
+        case "record":
+            from skyhaul.cli.record import record
+
+            return record
         case "scenarios":
             from skyhaul.cli.scenarios import scenarios
 
@@ -113,6 +119,21 @@ def _add_run(run: argparse.ArgumentParser) -> None:
     run.add_argument("--out", type=Path, metavar="DIR", help="run folder (default: runs/...)")
 
 
+def _add_record(record: argparse.ArgumentParser) -> None:
+    _add_scenario(record)
+    record.add_argument(
+        "--dataset", required=True, metavar="FORMAT", help="format of the data set: euroc"
+    )
+    record.add_argument("--out", type=Path, metavar="DIR", required=True, help="where to")
+    record.add_argument("--seed", type=_seed, default=0, help="phases, wind, noise (default: 0)")
+    record.add_argument(
+        "--vehicles", metavar="I,J,..", help="vehicles whose sensors are simulated (default: all)"
+    )
+    record.add_argument(
+        "--workers", type=_workers, default=1, help="processes that simulate (default: 1)"
+    )
+
+
 def _add_scenario(to: argparse.ArgumentParser) -> None:
     to.add_argument("scenario", metavar="SCENARIO", help="name or YAML file")
     to.add_argument(
@@ -131,6 +152,13 @@ def _seed(text: str) -> int:
     if seed < 0:
         raise argparse.ArgumentTypeError(f"a seed is 0 or more, got {seed}")
     return seed
+
+
+def _workers(text: str) -> int:
+    workers = int(text)
+    if workers < 1:
+        raise argparse.ArgumentTypeError(f"at least 1 process works, got {workers}")
+    return workers
 
 
 def _version() -> str:

@@ -40,6 +40,13 @@ class McapLog:
         channel, encoder = self._channels.get(topic) or self._register(topic, type_name)
         self._writer.add_message(channel, t_us * 1000, encoder.encode(*leaves), t_us * 1000)
 
+    def copy(self, record: "RawRecord") -> None:
+        """Log a message as another log holds it."""
+        channel, _ = self._channels.get(record.topic) or self._register(
+            record.topic, record.type_name
+        )
+        self._writer.add_message(channel, record.t_us * 1000, record.data, record.t_us * 1000)
+
     def close(self) -> None:
         """Write the index and close the file."""
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -64,6 +71,30 @@ class LogRecord:
     message: dict[str, Any]
 
 
+@dataclass(frozen=True, eq=False)
+class RawRecord:
+    """One message out of a log, still encoded."""
+
+    topic: str
+    type_name: str  # `package/Type`
+    t_us: TimeUs
+    data: bytes
+
+
+def read_raw(path: Path) -> Iterator[RawRecord]:
+    """All messages of a log that was closed, in order of time.
+
+    Raises:
+        FileError: when the file is missing or no MCAP file.
+    """
+    if not path.is_file():
+        raise FileError(f"{path} does not exist; is this a run folder?")
+    with path.open("rb") as stream:
+        for schema, channel, message in _messages(path, stream, None):
+            name = schema.name.replace("/msg/", "/")
+            yield RawRecord(channel.topic, name, message.log_time // 1000, message.data)
+
+
 def read_log(path: Path, topics: set[str]) -> Iterator[LogRecord]:
     """Messages of some topics, in the order of writing; what a killed run wrote is found too.
 
@@ -81,9 +112,12 @@ def read_log(path: Path, topics: set[str]) -> Iterator[LogRecord]:
 def _messages(
     path: Path,
     stream: IO[bytes],
-    topics: set[str],
+    topics: set[str] | None,
 ) -> Iterator[tuple[Schema, Channel, Message]]:
-    """Through the index where there is one, else from the front until the file breaks off."""
+    """Through the index where there is one, else from the front until the file breaks off.
+
+    `topics` None means all.
+    """
     try:
         indexed = make_reader(stream)
         if indexed.get_summary() is not None:
@@ -101,9 +135,13 @@ def _messages(
             schemas[record.id] = record
         elif isinstance(record, Channel):
             channels[record.id] = record
-        elif isinstance(record, Message) and channels[record.channel_id].topic in topics:
+        elif isinstance(record, Message) and _wanted(channels, record, topics):
             channel = channels[record.channel_id]
             yield schemas[channel.schema_id], channel, record
+
+
+def _wanted(channels: dict[int, Channel], message: Message, topics: set[str] | None) -> bool:
+    return topics is None or channels[message.channel_id].topic in topics
 
 
 def _until_broken(path: Path, stream: IO[bytes]) -> Iterator[object]:

@@ -13,18 +13,8 @@ from skyhaul.params import Params
 from skyhaul.perception.obstacles.truth import TruthObstacles
 from skyhaul.perception.team.truth import TruthTeam
 from skyhaul.planning.config import PlanningConfig
-from skyhaul.sensors.perfect import PerfectObjects, PerfectState
+from skyhaul.sensors.config import SensorsConfig
 from skyhaul.world.scenario import Scenario
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorsConfig(Params):
-    """Sensors."""
-
-    team: PerfectState = field(default_factory=PerfectState)
-    """What tells where the team is."""
-    objects: PerfectObjects = field(default_factory=PerfectObjects)
-    """What sees obstacles."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,3 +71,7 @@ class RunConfig(Scenario):
     """The bus between the agents."""
     mission: MissionConfig = field(default_factory=MissionConfig)
     """Phases and triggers."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.sensors.check(self.team)

@@ -59,6 +59,23 @@ class ImuReading:
 
 
 @dataclass(frozen=True, eq=False)
+class ImuCalibration:
+    """What an estimator may know of an IMU."""
+
+    rate_hz: int
+    p_BI: Array  # (3,) place in the body, from its centre of mass [m]
+    R_BI: Array  # (3, 3)
+    gyro_noise: float  # white noise [rad/s/sqrt(Hz)]
+    accel_noise: float  # white noise [m/s^2/sqrt(Hz)]
+    gyro_walk: float  # random walk of the bias [rad/s^2/sqrt(Hz)]
+    accel_walk: float  # random walk of the bias [m/s^3/sqrt(Hz)]
+    clock_offset_us: TimeUs  # its clock is ahead of true time by this
+
+    def __post_init__(self) -> None:
+        frozen(self.p_BI, self.R_BI)
+
+
+@dataclass(frozen=True, eq=False)
 class CameraFrame:
     """One image of one camera."""
 
@@ -144,3 +161,23 @@ class RigCalibration:
 
     cameras: tuple[CameraCalibration, ...]  # in the order of `CameraFrame.camera`
     event_camera: CameraCalibration | None
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleCalibration:
+    """What an estimator may know of a body's sensors."""
+
+    imu: ImuCalibration
+    rig: RigCalibration
+    load_cell_rate_hz: float | None  # None without one
+
+
+@dataclass(frozen=True, eq=False)
+class SensorTruth:
+    """What a vehicle's sensors know and do not tell. Only training and evaluation read it."""
+
+    labels: EventLabels | None  # of the events of the same reading
+    imu_bias: Array  # (6,) of gyro and accelerometer now [rad/s, m/s^2]
+
+    def __post_init__(self) -> None:
+        frozen(self.imu_bias)

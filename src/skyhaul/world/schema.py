@@ -152,8 +152,15 @@ def _check_scalar(options: list[Any], tree: object, path: str) -> None:
 
 def _sentence(error: ValidationError, tree: Tree) -> str:
     """The first fault that pydantic found, as one sentence."""
+    others = {
+        e["loc"][:-1]
+        for e in error.errors()
+        if e["type"] == "literal_error" and e["loc"][-1] == "kind"
+    }  # members of a union that the entry is not meant to be
     faults = [
-        e for e in error.errors() if not (e["type"] == "literal_error" and "kind" in e["loc"])
+        e
+        for e in error.errors()
+        if not any(e["loc"][:k] in others for k in range(1, len(e["loc"]) + 1))
     ]
     first = (faults or error.errors())[0]
     where = _prefix(_path_in(tree, first["loc"]))

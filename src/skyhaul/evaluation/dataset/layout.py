@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names in a data set, and files that are whole or not there."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from skyhaul.errors import FileError
+
+FLIGHT, TRACK, MANIFEST, LOG = "flight", "truth.npz", "record.json", "log.mcap"
+PAYLOAD = "payload"
+DATA = "data.csv"
+SENSOR = "sensor.yaml"
+TRUTH = "state_groundtruth_estimate0"
+KALIBR_CAMERAS, KALIBR_IMU = "camchain-imucam.yaml", "imu.yaml"
+EVENTS_H5, EVENTS_TXT, LABELS_H5 = "events.h5", "events.txt", "events_labels.h5"
+
+CAMERA_HEAD = "#timestamp [ns],filename"
+IMU_HEAD = (
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
+)
+TRUTH_HEAD = (
+    "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], "
+    "q_RS_z [], v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], "
+    "b_w_RS_S_y [rad s^-1], b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], "
+    "b_a_RS_S_z [m s^-2]"
+)
+LOAD_CELL_HEAD = "#timestamp [ns],tension [N]"
+"""First lines; those of EuRoC where it has the file."""
+
+
+def body_name(vehicle: int | None) -> str:
+    """Folder of a vehicle, or of the load."""
+    return PAYLOAD if vehicle is None else f"vehicle_{vehicle}"
+
+
+def partial(path: Path) -> Path:
+    """Where a file or folder is made before it gets its name."""
+    return path.with_name(path.name + ".part")
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn what the disk refuses into one sentence.
+
+    Raises:
+        FileError: When the system fails to write.
+    """
+    try:
+        yield
+    except OSError as fault:
+        where = fault.filename or path
+        raise FileError(f"{where} cannot be written: {fault.strerror or fault}") from fault

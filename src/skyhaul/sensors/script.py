@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The faults of one body's sensors, played on its readings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from skyhaul.sensors.api import (
+    CameraFrame,
+    EventLabels,
+    EventReading,
+    GreyImage,
+    ImuReading,
+    VehicleReading,
+)
+from skyhaul.sensors.faults import (
+    ClockOffset,
+    DroppedFrames,
+    EventBurst,
+    FrozenCamera,
+    ImuGap,
+    ImuSaturation,
+    SensorFault,
+    cut_off,
+    is_lost,
+    is_on,
+    shifted,
+)
+from skyhaul.sensors.flicker import Flicker, mixed
+from skyhaul.sensors.imu import NO_SAMPLES
+from skyhaul.sensors.streams import PAYLOAD_BODY
+from skyhaul.types import TimeUs
+
+
+@dataclass(frozen=True, eq=False)
+class ScriptMemory:
+    """What frozen cameras hold, and up to when events were delivered."""
+
+    seed: int
+    held: dict[int, GreyImage]  # by camera
+    events_until_us: TimeUs
+
+
+@dataclass(frozen=True, eq=False)
+class FaultScript:
+    """Faults of one body, each with its place in the scenario's list."""
+
+    body: int
+    faults: tuple[tuple[int, SensorFault], ...]
+    cameras: tuple[str, ...]
+    event_size_px: tuple[int, int] | None
+
+    def init(self, seed: int) -> ScriptMemory:
+        """Nothing has happened yet."""
+        return ScriptMemory(seed, {}, -1)
+
+    def imu(self, t_us: TimeUs, reading: ImuReading) -> ImuReading:
+        """What is left of an IMU's samples that are delivered now."""
+        for _, fault in self.faults:
+            if isinstance(fault, ImuSaturation) and is_on(fault, t_us):
+                reading = cut_off(fault, reading)
+            if isinstance(fault, ImuGap) and is_on(fault, t_us):
+                reading = NO_SAMPLES
+        return reading
+
+    def step(
+        self, memory: ScriptMemory, reading: VehicleReading, labels: EventLabels | None
+    ) -> tuple[ScriptMemory, VehicleReading, EventLabels | None]:
+        """What is left of a vehicle's reading."""
+        if not self.faults:
+            return memory, reading, labels
+        imu = self.imu(reading.stamp_us, reading.imu)
+        held, frames = dict(memory.held), []
+        for frame in reading.frames:
+            passed = self._frame(memory.seed, held, frame)
+            if passed is not None:
+                frames.append(passed)
+        memory = replace(memory, held=held)
+        events = reading.events
+        if events is not None and labels is not None:
+            memory, events, labels = self._events(memory, reading.stamp_us, events, labels)
+        out = replace(reading, imu=imu, frames=tuple(frames), events=events)
+        return memory, out, labels
+
+    def _frame(
+        self, seed: int, held: dict[int, GreyImage], frame: CameraFrame
+    ) -> CameraFrame | None:
+        """A frame after all faults; None when it is lost. Notes what a frozen camera holds."""
+        t_us, name = frame.stamp_us, self.cameras[frame.camera]
+        mine = [
+            (i, f)
+            for i, f in self.faults
+            if isinstance(f, DroppedFrames | FrozenCamera | ClockOffset)
+            and f.camera in (None, name)
+            and is_on(f, t_us)
+        ]
+        if any(isinstance(f, FrozenCamera) for _, f in mine):
+            frame = replace(frame, image=held.setdefault(frame.camera, frame.image))
+        else:
+            held[frame.camera] = frame.image
+        for i, f in mine:
+            if isinstance(f, DroppedFrames) and is_lost(f, seed, self.body, i, t_us):
+                return None
+        for _, f in mine:
+            if isinstance(f, ClockOffset):
+                frame = shifted(f, frame)
+        return frame
+
+    def _events(
+        self, memory: ScriptMemory, t_us: TimeUs, events: EventReading, labels: EventLabels
+    ) -> tuple[ScriptMemory, EventReading, EventLabels]:
+        for i, fault in self.faults:
+            if isinstance(fault, EventBurst) and self.event_size_px is not None:
+                lamp = Flicker(fault, i, self.event_size_px)
+                extra = lamp.between(memory.seed, self.body, memory.events_until_us, t_us)
+                events, labels = mixed(events, labels, extra)
+        return replace(memory, events_until_us=t_us), events, labels
+
+
+def script_of(
+    faults: Sequence[SensorFault],
+    body: int,
+    cameras: Sequence[str],
+    event_size_px: tuple[int, int] | None,
+) -> FaultScript:
+    """The part of a scenario's faults that is about one body, `PAYLOAD_BODY` or 1 + vehicle."""
+    carrier = "payload" if body == PAYLOAD_BODY else body - 1
+    mine = tuple((i, f) for i, f in enumerate(faults) if f.vehicle == carrier)
+    return FaultScript(body, mine, tuple(cameras), event_size_px)

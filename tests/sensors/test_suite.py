@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Suites: the same bytes in a flight, after it, alone, in company and in another process."""
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skyhaul.model.team import Team
+from skyhaul.plant.mujoco_plant import MujocoPlant
+from skyhaul.sensors.config import SensorsConfig
+from skyhaul.sensors.faults import ImuGap
+from skyhaul.sensors.load_cell import LoadCell
+from skyhaul.sensors.truth_track import TrackWriter, TruthTrack, load_track
+from skyhaul.world.load import load_config
+from skyhaul.world.scenario import Scenario
+
+SENSORS = SensorsConfig(
+    load_cell=LoadCell(),
+    faults=(
+        ImuGap(vehicle=1, start_s=0.1, duration_s=0.1),
+        ImuGap(vehicle="payload", start_s=0.3, duration_s=0.05),
+    ),
+)
+SEED = 4
+
+
+@pytest.fixture(scope="module")
+def track() -> TruthTrack:
+    plant, writer = MujocoPlant(load_config(Scenario, "hover"), 0), TrackWriter()
+    writer.add(plant.truth())
+    rotors = plant.truth().rotor_thrust
+    for k in range(600):
+        writer.add(plant.step(rotors * (1.0 + 0.01 * np.sin(0.05 * k))))
+    return writer.track()
+
+
+def bytes_of(readings) -> bytes:
+    """Everything that IMU and load cell delivered."""
+    parts = []
+    for r in readings:
+        parts += [r.imu.stamp_us, r.imu.gyro_I, r.imu.accel_I]
+        cell = getattr(r, "load_cell", None)
+        parts += [cell.stamp_us, cell.tension] if cell is not None else []
+    return b"".join(a.tobytes() for a in parts)
+
+
+def alone(track: TruthTrack, vehicle: int) -> bytes:
+    suite, out = SENSORS.vehicle_suite(vehicle), []
+    memory = suite.init(SEED)
+    for truth in track.truths():
+        memory, reading, _ = suite.step(memory, truth)
+        out.append(reading)
+    return bytes_of(out)
+
+
+def alone_from_file(path: Path, vehicle: int) -> bytes:
+    return alone(load_track(path), vehicle)
+
+
+def test_replay_gives_the_bytes_of_the_flight(track) -> None:
+    team = SENSORS.team_suite(Team())
+    memory, payload, vehicles = team.init(SEED), [], [[] for _ in range(4)]
+    for truth in track.truths():
+        memory, load, readings = team.step(memory, truth)
+        payload.append(load)
+        for i, reading in enumerate(readings):
+            assert reading.vehicle == i
+            vehicles[i].append(reading)
+    for i in (3, 1, 0, 2):
+        assert bytes_of(vehicles[i]) == alone(track, i)
+    suite = SENSORS.payload_suite()
+    single, out = suite.init(SEED), []
+    for truth in track.truths():
+        single, reading = suite.step(single, truth)
+        out.append(reading)
+    assert bytes_of(payload) == bytes_of(out)
+
+
+@pytest.mark.slow
+def test_two_worker_processes_give_the_same_bytes(track, tmp_path) -> None:
+    path = tmp_path / "track.npz"
+    track.save(path)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=context) as pool:
+        futures = [pool.submit(alone_from_file, path, i) for i in range(4)]
+        there = [f.result() for f in futures]
+    assert there == [alone(track, i) for i in range(4)]
+    assert len(set(there)) == 4
+
+
+def test_faults_hit_only_whom_they_name(track) -> None:
+    suite = SENSORS.vehicle_suite(1)
+    memory, samples = suite.init(SEED), []
+    for truth in track.truths():
+        memory, reading, _ = suite.step(memory, truth)
+        samples += reading.imu.stamp_us.tolist()
+    missing = {1_000 + 2_000 * k for k in range(600)} - set(samples)
+    assert missing == {99_000 + 2_000 * k for k in range(50)}  # delivered in [0.1, 0.2) s
+    clean = replace(SENSORS, faults=())
+    assert clean.vehicle_suite(0).sensors.script.faults == ()
+
+
+def test_the_truth_beside_the_reading_is_the_imus_bias(track) -> None:
+    suite = SENSORS.vehicle_suite(0)
+    memory = suite.init(SEED)
+    start = memory.imu.bias[0]
+    for truth in track.truths():
+        memory, _, beside = suite.step(memory, truth)
+    assert beside.labels is None
+    np.testing.assert_array_equal(beside.imu_bias, memory.imu.bias[0])
+    assert np.any(beside.imu_bias != start)
