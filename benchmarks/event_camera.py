@@ -53,9 +53,7 @@ QUIET = EventPixels(
 )
 
 
-def stream(
-    recording: Recording, count: int
-) -> Iterator[tuple[int, NDArray[np.float32]]]:
+def stream(recording: Recording, count: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """The frames of the intervals with `count` - 1 more in each."""
     t, frames = recording.frame_us, recording.frames
     yield int(t[0]), frames[0]
@@ -72,11 +70,11 @@ def implied_thresholds(
     wanted = [np.count_nonzero(recorded.p == sign) for sign in (1, -1)]
     for _ in range(6):
         found = simulate(params, iter(frames))
-        ratio = [np.count_nonzero(found.p == sign) / w for sign, w in zip((1, -1), wanted)]
+        on, off = (np.count_nonzero(found.p == sign) for sign in (1, -1))
         params = replace(
             params,
-            threshold_on=params.threshold_on * ratio[0] ** 0.6,
-            threshold_off=params.threshold_off * ratio[1] ** 0.6,
+            threshold_on=params.threshold_on * (on / wanted[0]) ** 0.6,
+            threshold_off=params.threshold_off * (off / wanted[1]) ** 0.6,
         )
     return params
 
@@ -144,7 +142,11 @@ def main() -> None:
     shifted = max(found["log_difference_shifted"].values(), key=np.mean)  # type: ignore[attr-defined]
     better = "plain log-frame difference, best of four black levels"
     rows = [
-        ("net count, simulated against recorded", found["simulated"], ">= 0.85, and above the next"),
+        (
+            "net count, simulated against recorded",
+            found["simulated"],
+            ">= 0.85, and above the next",
+        ),
         (f"the same for the {better}", plain, ""),
         ("net count, events shifted by one constant", found["simulated_shifted"], ""),
         (f"the same for the {better}, shifted", shifted, ""),

@@ -99,9 +99,7 @@ def halfway(a: Truth, b: Truth) -> Truth:
 
 def truths(track: TruthTrack, begin_s: float, end_s: float, *, halves: bool) -> Iterator[Truth]:
     """True states in a time, at every step or twice as often."""
-    first, last = (
-        int(np.searchsorted(track.t_us, round(s * US_PER_S))) for s in (begin_s, end_s)
-    )
+    first, last = (int(np.searchsorted(track.t_us, round(s * US_PER_S))) for s in (begin_s, end_s))
     for k in range(first, min(last, len(track) - 1)):
         yield track.truth(k)
         if halves:

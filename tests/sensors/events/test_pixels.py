@@ -170,7 +170,9 @@ def test_the_cutoff_is_proportional_to_the_light():
 
 def test_a_swing_of_the_low_pass_inside_an_interval_fires_both_ways():
     """The low-pass still falls, then turns and rises, between two renderings."""
-    params = replace(IDEAL, cutoff_hz=100.0, cutoff_floor=1.0, threshold_on=0.05, threshold_off=0.05)
+    params = replace(
+        IDEAL, cutoff_hz=100.0, cutoff_floor=1.0, threshold_on=0.05, threshold_off=0.05
+    )
     views = [view_of(-1.0), view_of(-2.0), view_of(-0.5)]
     events = run(params, views, [0, 10, 20_010])
     dense_t = [0, 10, *range(110, 20_011, 100)]
@@ -183,9 +185,7 @@ def test_a_swing_of_the_low_pass_inside_an_interval_fires_both_ways():
 
 def static(params, seconds, light=0.5, size=4_000, seed=5, every_us=50_000):
     """Events of pixels in constant light."""
-    view = View(
-        np.full(size, light, np.float32), np.zeros(size, np.int16), np.ones(size)
-    )
+    view = View(np.full(size, light, np.float32), np.zeros(size, np.int16), np.ones(size))
     times = list(range(0, round(1e6 * seconds) + 1, every_us))
     memory = start(params, view, 0, seed=seed, aligned=False, width=50)
     return run(params, [view] * len(times), times, memory)

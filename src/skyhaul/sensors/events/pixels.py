@@ -29,7 +29,7 @@ _LEAST_THRESHOLD = 0.01
 
 
 class PixelMemory(NamedTuple):
-    """The pixels after a rendering. `EventPixels.step` takes it over: go on with what it returns."""
+    """Pixels after a rendering. `EventPixels.step` changes it: go on with what it returns."""
 
     t_us: TimeUs
     width: int
@@ -112,9 +112,7 @@ class EventPixels(Params):
         if not self.dark_level >= 1e-4:
             raise ValueError(f"dark_level must be >= 0.0001, got {self.dark_level}")
 
-    def init(
-        self, view: View, width: int, t_us: TimeUs, rng: np.random.Generator
-    ) -> PixelMemory:
+    def init(self, view: View, width: int, t_us: TimeUs, rng: np.random.Generator) -> PixelMemory:
         """Pixels that have looked at a view for long.
 
         Their references lie anywhere between the thresholds, as those of a camera that runs do.
