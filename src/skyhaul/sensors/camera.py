@@ -9,9 +9,10 @@ import numpy as np
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.plant.api import PLANT_STEP_US, Truth
 from skyhaul.sensors.api import CameraCalibration, CameraFrame, GreyImage
+from skyhaul.sensors.imaging.frame import Frame, blank_frame
 from skyhaul.sensors.imaging.lens import Lens, make_lens
 from skyhaul.sensors.imaging.photometry import Sensor, expose, make_sensor
-from skyhaul.sensors.imaging.raycast import Frame, blank_frame, render
+from skyhaul.sensors.imaging.raycast import render
 from skyhaul.sensors.imaging.scene import Scene
 from skyhaul.sensors.rig import CameraMount, RigParams
 from skyhaul.types import US_PER_S, Array, TimeUs

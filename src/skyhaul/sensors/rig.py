@@ -106,11 +106,11 @@ def _default_cameras() -> tuple[CameraMount, ...]:
         CameraMount(name="front left", model=wide, p_BC_m=(0.05, 0.04, 0.01), elevation_deg=25.0),
         CameraMount(name="front right", model=wide, p_BC_m=(0.05, -0.04, 0.01), elevation_deg=25.0),
         CameraMount(
-            name="rear", model=wide, p_BC_m=(-0.05, 0.0, 0.0),
+            name="rear", model=wide, p_BC_m=(-0.05, 0.0, 0.01),
             azimuth_deg=180.0, elevation_deg=-20.0,
         ),
         CameraMount(
-            name="down", model=sharp, p_BC_m=(0.02, 0.0, -0.025),
+            name="down", model=sharp, p_BC_m=(-0.05, 0.0, -0.02),
             azimuth_deg=180.0, elevation_deg=-71.0,
         ),
     )  # fmt: skip
