@@ -64,20 +64,20 @@ class Cost:
     flow_pxps: tuple[float, ...]
 
 
-def simulate(camera: EventCamera, truths: Iterator[Truth], from_us: int) -> Cost:
-    """Events and renderings from a time on, CPU time of all."""
+def simulate(camera: EventCamera, truths: Iterator[Truth], from_us: int, to_us: int) -> Cost:
+    """Events and renderings in (from, to], CPU time of all; states go on until all are known."""
     memory, events, noise, renderings, flows = camera.init(SEED), 0, 0, 0, []
     cpu = 0.0
     for truth in truths:
         begin = time.process_time()
         memory, reading, labels = camera.step(memory, truth)
-        if truth.stamp_us <= from_us:
-            continue
-        cpu += time.process_time() - begin
+        timed = from_us < truth.stamp_us <= to_us
+        cpu += (time.process_time() - begin) * timed
         if reading is not None and labels is not None:
-            events += len(reading.t_us)
-            noise += int(np.count_nonzero(labels.object_id == -1))
-            renderings += 1
+            inside = (reading.t_us > from_us) & (reading.t_us <= to_us)
+            events += int(np.count_nonzero(inside))
+            noise += int(np.count_nonzero(labels.object_id[inside] == -1))
+            renderings += timed
             flows.append(memory.flow_pxps)
     return Cost(cpu, renderings, events, noise, tuple(flows))
 
@@ -120,8 +120,8 @@ def window(config: RunConfig, track: TruthTrack, vehicle: int, begin_s: float) -
     cases = (("adaptive", Pacing(), False), ("1 kHz", Pacing(flow_px=1e-6), True))
     for name, pacing, halves in cases:
         camera = camera_of(config, vehicle, pacing)
-        states = truths(track, begin_s - LEAD_S, end_s, halves=halves)
-        cost = simulate(camera, states, round(begin_s * US_PER_S))
+        states = truths(track, begin_s - LEAD_S, end_s + LEAD_S, halves=halves)
+        cost = simulate(camera, states, round(begin_s * US_PER_S), round(end_s * US_PER_S))
         out[name] = {
             "cpu_s": cost.cpu_s,
             "renderings": cost.renderings,
@@ -139,8 +139,9 @@ def whole_flight(config: RunConfig, track: TruthTrack, limit_s: float) -> dict[s
     costs = []
     for i in range(VEHICLES):
         camera = camera_of(config, i, Pacing())
-        simulate(camera, truths(track, 0.0, 0.1, halves=False), 0)  # compiled and warm
-        costs.append(simulate(camera, truths(track, 0.0, end_s, halves=False), 0))
+        simulate(camera, truths(track, 0.0, 0.1, halves=False), 0, 0)  # compiled and warm
+        states = truths(track, 0.0, end_s, halves=False)
+        costs.append(simulate(camera, states, 0, round(end_s * US_PER_S)))
     flows = np.concatenate([c.flow_pxps for c in costs])
     return {
         "simulated_s": end_s,
