@@ -35,7 +35,7 @@ from skyhaul.world.load import load_config
 RESULT = Path(__file__).parent / "results" / "event_rendering.json"
 SEED, VEHICLES = 0, 4
 WINDOW_S, LEAD_S = 0.3, 0.1
-BUSY = ((0, 7.0), (1, 16.0), (2, 22.0), (3, 28.0))
+BUSY = ((0, 2.0), (1, 7.0), (2, 16.0), (3, 24.0))
 """Vehicle and begin of each window [s]."""
 
 
