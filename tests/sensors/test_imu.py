@@ -217,6 +217,17 @@ def test_noise_and_walk_have_the_density_they_are_given() -> None:
     assert np.mean(steps[1:] * steps[:-1]) == pytest.approx(scale / 6.0, rel=0.15)
 
 
+def test_noise_and_walk_are_drawn_apart() -> None:
+    imu = replace(EXACT, gyro_noise_radps_per_sqrt_hz=1e-3, gyro_walk_radps2_per_sqrt_hz=0.5)
+    bank = imu_bank([imu], [VEHICLE])
+    memory, gap = bank.init(2), []
+    for k in range(4_000):
+        memory, (reading,) = bank.step(memory, k * STEP_US, level())
+        gap += (reading.gyro_I - memory.bias[:, :3]).tolist()
+    # the mean over a period less the bias at its end: K^2 T / 3 of the walk, N^2 / T of the noise
+    assert np.std(gap) == pytest.approx(np.sqrt(0.5**2 / 500.0 / 3.0 + 1e-6 * 500.0), rel=0.03)
+
+
 def test_each_imu_of_a_bank_reads_as_if_it_were_alone() -> None:
     kinds, bodies = [Imu(), Imu(rate_hz=100), Imu(p_BI_m=(0.0, 0.1, 0.0))], [0, 2, 1]
     q = np.array([so3_exp(np.array([0.01 * k, 0.02, 0.0])) for k in range(BLOCK + 30)])

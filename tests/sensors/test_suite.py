@@ -9,18 +9,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from skyhaul.geometry.camera import Equidistant, RadTan
 from skyhaul.model.team import Team
 from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.sensors.config import SensorsConfig
 from skyhaul.sensors.faults import ImuGap
 from skyhaul.sensors.load_cell import LoadCell
-from skyhaul.sensors.rig import RigParams
+from skyhaul.sensors.rig import CameraMount, EventCameraMount, RigParams
 from skyhaul.sensors.truth_track import TrackWriter, TruthTrack, load_track
 from skyhaul.world.load import load_config
 from skyhaul.world.scenario import Scenario, World
 
 SENSORS = SensorsConfig(
-    rig=RigParams(cameras=(), event_camera=None),
+    rig=RigParams(
+        cameras=(
+            CameraMount(
+                name="front", model=RadTan.from_fov((32, 24), 80.0), p_BC_m=(0.05, 0.0, 0.0)
+            ),
+        ),
+        event_camera=EventCameraMount(model=Equidistant.from_fov((24, 16), 140.0)),
+    ),
     load_cell=LoadCell(),
     faults=(
         ImuGap(vehicle=1, start_s=0.1, duration_s=0.1),
@@ -41,12 +49,16 @@ def track() -> TruthTrack:
 
 
 def bytes_of(readings) -> bytes:
-    """Everything that IMU and load cell delivered."""
+    """Everything that was delivered."""
     parts = []
     for r in readings:
         parts += [r.imu.stamp_us, r.imu.gyro_I, r.imu.accel_I]
         cell = getattr(r, "load_cell", None)
         parts += [cell.stamp_us, cell.tension] if cell is not None else []
+        for frame in getattr(r, "frames", ()):
+            parts += [np.array([frame.stamp_us, frame.camera]), frame.image]
+        events = getattr(r, "events", None)
+        parts += [events.t_us, events.x, events.y, events.p] if events is not None else []
     return b"".join(a.tobytes() for a in parts)
 
 

@@ -9,9 +9,10 @@ import numpy as np
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.plant.api import PLANT_STEP_US, Truth
 from skyhaul.sensors.api import CameraCalibration, CameraFrame, GreyImage
+from skyhaul.sensors.imaging.frame import Frame, blank_frame
 from skyhaul.sensors.imaging.lens import Lens, make_lens
 from skyhaul.sensors.imaging.photometry import Sensor, expose, make_sensor
-from skyhaul.sensors.imaging.raycast import Frame, blank_frame, render
+from skyhaul.sensors.imaging.raycast import render
 from skyhaul.sensors.imaging.scene import Scene
 from skyhaul.sensors.rig import CameraMount, RigParams
 from skyhaul.types import US_PER_S, Array, TimeUs
@@ -32,8 +33,8 @@ class CamerasMemory(NamedTuple):
 class Cameras:
     """All cameras of one vehicle, triggered together: every image of a tick has the same stamp.
 
-    Vehicles take turns: vehicle i of n is late by i / n of a period, so that the load of
-    rendering is even. `cameras` builds it.
+    Vehicles take turns: vehicle i of n is late by i / n of the shortest period, so that the load
+    of rendering is even. `cameras` builds it.
     """
 
     vehicle: int
@@ -44,7 +45,7 @@ class Cameras:
     lenses: tuple[Lens, ...]
     sensors: tuple[Sensor, ...]
     frames: tuple[Frame, ...]  # of each camera, overwritten by each image
-    lag_us: tuple[TimeUs, ...]
+    lag_us: TimeUs
 
     def init(self, seed: int) -> CamerasMemory:
         """Turn on, before the first true state."""
@@ -57,7 +58,7 @@ class Cameras:
 
     def due(self, c: int, t_us: TimeUs) -> bool:
         """Whether camera c takes an image at a time."""
-        since = t_us - self.lag_us[c]
+        since = t_us - self.lag_us
         return since >= 0 and since % self.mounts[c].period_us == 0
 
     def step(
@@ -108,7 +109,7 @@ def cameras(rig: RigParams, scene: Scene, light: Light, vehicle: int, count: int
         count: Number of vehicles in the team.
     """
     lenses = tuple(make_lens(m.model) for m in rig.cameras)
-    steps = [m.period_us // PLANT_STEP_US for m in rig.cameras]
+    steps = min(m.period_us for m in rig.cameras) // PLANT_STEP_US if rig.cameras else 0
     return Cameras(
         vehicle=vehicle,
         mounts=rig.cameras,
@@ -118,7 +119,7 @@ def cameras(rig: RigParams, scene: Scene, light: Light, vehicle: int, count: int
         lenses=lenses,
         sensors=tuple(make_sensor(m.photometry, m.model) for m in rig.cameras),
         frames=tuple(blank_frame(scene.arrays, lens) for lens in lenses),
-        lag_us=tuple(vehicle * s // count * PLANT_STEP_US for s in steps),
+        lag_us=vehicle * steps // count * PLANT_STEP_US,
     )
 
 

@@ -19,8 +19,9 @@ from skyhaul.sensors.camera import camera_pose
 from skyhaul.sensors.events.kernel import View
 from skyhaul.sensors.events.pixels import EventPixels, PixelMemory
 from skyhaul.sensors.imaging.flow import optical_flow
+from skyhaul.sensors.imaging.frame import Frame, blank_frame
 from skyhaul.sensors.imaging.lens import Lens, make_lens
-from skyhaul.sensors.imaging.raycast import Frame, blank_frame, render
+from skyhaul.sensors.imaging.raycast import render
 from skyhaul.sensors.imaging.scene import Scene
 from skyhaul.sensors.rig import EventCameraMount
 from skyhaul.types import US_PER_S, Array, TimeUs

@@ -94,9 +94,7 @@ def time_of_level(c: Curve, level: float, low: float, high: float) -> float:
 
 
 @njit_ieee
-def first_crossing(
-    c: Curve, on: float, off: float, start: float, end: float
-) -> tuple[float, int]:
+def first_crossing(c: Curve, on: float, off: float, start: float, end: float) -> tuple[float, int]:
     """First time in (start, end] at which z rises to `on` or falls to `off`.
 
     Args:

@@ -29,7 +29,7 @@ _LEAST_THRESHOLD = 0.01
 
 
 class PixelMemory(NamedTuple):
-    """The pixels after a rendering. `EventPixels.step` takes it over: go on with what it returns."""
+    """Pixels after a rendering. `EventPixels.step` changes it: go on with what it returns."""
 
     t_us: TimeUs
     width: int
@@ -112,9 +112,7 @@ class EventPixels(Params):
         if not self.dark_level >= 1e-4:
             raise ValueError(f"dark_level must be >= 0.0001, got {self.dark_level}")
 
-    def init(
-        self, view: View, width: int, t_us: TimeUs, rng: np.random.Generator
-    ) -> PixelMemory:
+    def init(self, view: View, width: int, t_us: TimeUs, rng: np.random.Generator) -> PixelMemory:
         """Pixels that have looked at a view for long.
 
         Their references lie anywhere between the thresholds, as those of a camera that runs do.
@@ -164,7 +162,8 @@ class EventPixels(Params):
         return memory._replace(t_us=t_us, view=view, log_light=u), reading, labels
 
     def _log_light(self, view: View) -> Floats:
-        return np.log(view.light + np.float32(self.dark_level))
+        u: Floats = np.log(view.light + np.float32(self.dark_level))
+        return u
 
     def _change(self, u0: Floats, u1: Floats, light: Floats, dt_us: int) -> Change:
         """How the low-pass follows the light for dt; its cutoff is that of the light at the end."""
@@ -209,5 +208,5 @@ def _since_first(t_us: IntArray) -> NDArray[np.integer]:
     """Times in 16 bit where they fit: those are sorted by radix, which is far faster."""
     if t_us.size == 0:
         return t_us
-    since = t_us - t_us.min()
+    since: IntArray = t_us - t_us.min()
     return since.astype(np.uint16) if since.max() < 2**16 else since

@@ -14,6 +14,8 @@ NOBODY = -1
 """For `own`: the camera belongs to no vehicle."""
 THREAD = 4
 """Code of a thin capsule, beside those of `geometry.shapes`."""
+FIRST_PART = len(ROOM_FACES)
+"""Codes of hits below this are faces of the room; parts follow."""
 
 
 class Parts(NamedTuple):

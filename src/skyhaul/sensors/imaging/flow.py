@@ -6,8 +6,8 @@ import math
 from skyhaul.geometry.kernels import mat_t_vec
 from skyhaul.jit import njit_ieee
 from skyhaul.sensors.imaging.arrays import SceneArrays
+from skyhaul.sensors.imaging.frame import Frame
 from skyhaul.sensors.imaging.lens import TILE_H, TILE_W, Lens
-from skyhaul.sensors.imaging.raycast import Frame
 from skyhaul.types import Array
 
 # mypy: disable-error-code="no-any-return"
@@ -32,32 +32,37 @@ def optical_flow(
     """
     largest, objects = 0.0, scene.objects
     v, w = motion[0], motion[1]
+    ids, ranges, flow, rays, jacobian = (
+        frame.object_id, frame.range, frame.flow, lens.rays, lens.jacobian
+    )  # fmt: skip
+    centres, turns, speeds = objects.p_WO, objects.w_WO, objects.v_WO
+    height, width = ids.shape
     for t in range(lens.corner.shape[0]):
         y0, x0 = lens.corner[t, 0], lens.corner[t, 1]
         for i in range(TILE_H * TILE_W):
             row, column = y0 + i // TILE_W, x0 + i % TILE_W
-            if row >= lens.height or column >= lens.width:
+            if row >= height or column >= width:
                 continue
-            x, y, z = lens.rays[t, 0, i], lens.rays[t, 1, i], lens.rays[t, 2, i]
+            x, y, z = rays[t, 0, i], rays[t, 1, i], rays[t, 2, i]
             d0 = R_WC[0, 0] * x + R_WC[0, 1] * y + R_WC[0, 2] * z
             d1 = R_WC[1, 0] * x + R_WC[1, 1] * y + R_WC[1, 2] * z
             d2 = R_WC[2, 0] * x + R_WC[2, 1] * y + R_WC[2, 2] * z
             # the camera's turn; per metre of range
             g0, g1, g2 = w[2] * d1 - w[1] * d2, w[0] * d2 - w[2] * d0, w[1] * d0 - w[0] * d1
-            o = frame.object_id[row, column]
+            o = ids[row, column]
             if o >= 0:
-                far = frame.range[row, column]
-                p, u = objects.p_WO[o], objects.w_WO[o]
+                far = ranges[row, column]
+                p, u = centres[o], turns[o]
                 e0 = p_WC[0] + far * d0 - p[0]
                 e1 = p_WC[1] + far * d1 - p[1]
                 e2 = p_WC[2] + far * d2 - p[2]
-                g0 += (objects.v_WO[o, 0] + u[1] * e2 - u[2] * e1 - v[0]) / far
-                g1 += (objects.v_WO[o, 1] + u[2] * e0 - u[0] * e2 - v[1]) / far
-                g2 += (objects.v_WO[o, 2] + u[0] * e1 - u[1] * e0 - v[2]) / far
+                g0 += (speeds[o, 0] + u[1] * e2 - u[2] * e1 - v[0]) / far
+                g1 += (speeds[o, 1] + u[2] * e0 - u[0] * e2 - v[1]) / far
+                g2 += (speeds[o, 2] + u[0] * e1 - u[1] * e0 - v[2]) / far
             c0, c1, c2 = mat_t_vec(R_WC, (g0, g1, g2))
-            J = lens.jacobian[row, column]
+            J = jacobian[row, column]
             flow_u = J[0, 0] * c0 + J[0, 1] * c1 + J[0, 2] * c2
             flow_v = J[1, 0] * c0 + J[1, 1] * c1 + J[1, 2] * c2
-            frame.flow[row, column, 0], frame.flow[row, column, 1] = flow_u, flow_v
+            flow[row, column, 0], flow[row, column, 1] = flow_u, flow_v
             largest = max(largest, flow_u * flow_u + flow_v * flow_v)
     return math.sqrt(largest)

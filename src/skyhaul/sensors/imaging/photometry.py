@@ -5,7 +5,7 @@ A pixel of scene brightness b under light level L fills, at exposure e, the shar
 its well (v: vignetting). Gain g beyond the longest exposure amplifies signal and noise alike. With
 electrons N = s W / g in a well of W:
 
-    level = 255 min(1, s + g sqrt(N + read^2) / W * n),  n standard normal
+    level = 255 min(1, s + g sqrt(N + read^2) / W n),  n standard normal
 
 Noise is drawn by hashing (key, pixel): it does not depend on the order in which images are made,
 nor on the process.
@@ -167,6 +167,7 @@ def expose(
     floor = np.float32((gain * sensor.read / sensor.well) ** 2)
     scale, one, zero = np.float32(exposure), np.float32(1.0), np.float32(0.0)
     full, half = np.float32(255.0), np.float32(0.5)
+    vignette, normal = sensor.vignette, sensor.normal
     total, bits, mask = 0.0, np.uint64(0), np.uint64((1 << _BITS) - 1)
     state = np.uint64(key)
     for y in range(height):
@@ -178,9 +179,9 @@ def expose(
                 bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(_MIX_A)
                 bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(_MIX_B)
                 bits ^= bits >> np.uint64(31)
-            signal = min(scale * sensor.vignette[y, x] * grey[y, x], one)
-            line += signal
-            noise = sensor.normal[bits & mask]
+            signal = scale * vignette[y, x] * grey[y, x]
+            line += min(signal, one)
+            noise = normal[bits & mask]
             bits >>= np.uint64(_BITS)
             value = signal + noise * np.sqrt(shot * signal + floor)
             out[y, x] = np.uint8(min(max(value, zero), one) * full + half)

@@ -2,7 +2,7 @@
 """How bright points of surfaces are: texture, a sun and light from all of the sky.
 
 Everything is matt. Grey values are linear: 1 is a white surface in full light. Each function
-shades those rays of a bundle that met one surface.
+shades those of the first n rays of a bundle that met one surface.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from skyhaul.geometry.kernels import mat_t_vec
 from skyhaul.geometry.shapes import BOX, SPHERE
 from skyhaul.jit import njit_ieee
-from skyhaul.sensors.imaging.arrays import Bundle, Hall, Parts
+from skyhaul.sensors.imaging.arrays import FIRST_PART, Bundle, Hall, Parts
 from skyhaul.sensors.imaging.atlas import Atlas, sample
 from skyhaul.types import Array
 
@@ -27,10 +27,10 @@ STEEPEST = 0.12
 
 
 @njit_ieee
-def shade_face(hall: Hall, atlas: Atlas, face: int, p: Array, rays: Bundle) -> None:
+def shade_face(hall: Hall, atlas: Atlas, face: int, p: Array, rays: Bundle, n: int) -> None:
     """Shade the rays that leave the room through one of its six faces."""
     texel, k, g, axis = atlas.texel, hall.face[face], hall.detail, face >> 1
-    start, n, scale = atlas.start[k], atlas.size[k], 1.0 / hall.period[face]
+    start, size, scale = atlas.start[k], atlas.size[k], 1.0 / hall.period[face]
     grain_start, grain_n, grain_scale = atlas.start[g], atlas.size[g], GRAIN_PER_M * atlas.size[g]
     light, ceiling = hall.light[face], face == 5
     across, upright, right = (1 if axis == 0 else 0), axis < 2, 1.0
@@ -39,20 +39,21 @@ def shade_face(hall: Hall, atlas: Atlas, face: int, p: Array, rays: Bundle) -> N
     else:
         u0, right = hall.high[across] - p[across], -1.0
     v0, down = (-p[2], 2) if upright else (hall.low[1] - p[1], 1)
-    for i in range(rays.hit.shape[0]):
-        if rays.hit[i] != face:
+    ray, ranges, hit, pixel, out = rays.ray, rays.range, rays.hit, rays.pixel, rays.grey
+    for i in range(n):
+        if hit[i] != face:
             continue
-        far = rays.range[i]
-        a, b = u0 + right * far * rays.ray[across, i], v0 - far * rays.ray[down, i]
-        wide = far * rays.pixel[i] / math.sqrt(max(abs(rays.ray[axis, i]), STEEPEST))
-        grey = light * sample(texel, start, n, a * scale, b * scale, wide * scale * n)
+        far = ranges[i]
+        a, b = u0 + right * far * ray[across, i], v0 - far * ray[down, i]
+        wide = far * pixel[i] / math.sqrt(max(abs(ray[axis, i]), STEEPEST))
+        grey = light * sample(texel, start, size, a * scale, b * scale, wide * scale * size)
         texels = wide * grain_scale
         if texels < GRAIN_TEXELS:
             grain = sample(texel, grain_start, grain_n, a * GRAIN_PER_M, b * GRAIN_PER_M, texels)
             # it fades out before its pyramid ends, so that no edge shows where it stops
             fade = min(1.0, 2.0 - 2.0 * texels / GRAIN_TEXELS)
             grey *= 1.0 + GRAIN * fade * (grain - 0.5)
-        rays.grey[i] = grey
+        out[i] = grey
         if ceiling:
             _open_ceiling(hall, atlas, a * scale, b * scale, wide * scale, i, rays)
 
@@ -73,9 +74,9 @@ def _open_ceiling(
 
 
 @njit_ieee
-def shade_sky(hall: Hall, atlas: Atlas, rays: Bundle) -> None:
+def shade_sky(hall: Hall, atlas: Atlas, rays: Bundle, n: int) -> None:
     """Shade the rays that met nothing."""
-    for i in range(rays.hit.shape[0]):
+    for i in range(n):
         if rays.hit[i] == -1:
             d0, d1, d2 = rays.ray[0, i], rays.ray[1, i], rays.ray[2, i]
             rays.grey[i] = _sky(hall, atlas, d0, d1, d2, rays.pixel[i])
@@ -95,20 +96,22 @@ def _sky(hall: Hall, atlas: Atlas, d0: float, d1: float, d2: float, pixel: float
 
 @njit_ieee
 def shade_part(
-    parts: Parts, atlas: Atlas, sun: Array, k: int, code: int, p: Array, rays: Bundle
+    parts: Parts, atlas: Atlas, sun: Array, k: int, p: Array, rays: Bundle, n: int
 ) -> None:
-    """Shade the rays that met part k, marked with a code."""
+    """Shade the rays that met part k."""
     R, c, kind = parts.R_WP[k], parts.p_WP[k], parts.kind[k]
     s0, s1, s2 = parts.size[k, 0], parts.size[k, 1], parts.size[k, 2]
     q0, q1, q2 = mat_t_vec(R, (p[0] - c[0], p[1] - c[1], p[2] - c[2]))
     l0, l1, l2 = mat_t_vec(R, (sun[0], sun[1], sun[2]))
     up0, up1, up2 = R[2, 0], R[2, 1], R[2, 2]
     scale, gain, faces = 1.0 / parts.period[k], parts.gain[k], parts.face[k]
-    for i in range(rays.hit.shape[0]):
-        if rays.hit[i] != code:
+    texel, starts, sizes = atlas.texel, atlas.start, atlas.size
+    ray, ranges, hit, pixel, out = rays.ray, rays.range, rays.hit, rays.pixel, rays.grey
+    for i in range(n):
+        if hit[i] != FIRST_PART + k:
             continue
-        far, stretch = rays.range[i], 1.0
-        d0, d1, d2 = mat_t_vec(R, (rays.ray[0, i], rays.ray[1, i], rays.ray[2, i]))
+        far, stretch = ranges[i], 1.0
+        d0, d1, d2 = mat_t_vec(R, (ray[0, i], ray[1, i], ray[2, i]))
         a, b, e = q0 + far * d0, q1 + far * d1, q2 + far * d2
         n0, n1, n2 = _normal(kind, s0, s1, s2, a, b, e)
         u0, u1, u2 = a + s0, b + s1, e + s2
@@ -124,13 +127,13 @@ def shade_part(
         else:
             face, u, v = (3, -u0, -u2) if n1 > 0.0 else (2, u0, -u2)
         facing = max(abs(n0 * d0 + n1 * d1 + n2 * d2), STEEPEST)
-        wide = far * rays.pixel[i] * stretch / math.sqrt(facing)
+        wide = far * pixel[i] * stretch / math.sqrt(facing)
         lit = AMBIENT + SKYLIGHT * (0.5 + 0.5 * (n0 * up0 + n1 * up1 + n2 * up2))
         lit += SUN * max(n0 * l0 + n1 * l1 + n2 * l2, 0.0)
         t = faces[face]
-        start, n = atlas.start[t], atlas.size[t]
-        grey = sample(atlas.texel, start, n, u * scale, v * scale, wide * scale * n)
-        rays.grey[i] = gain * lit * grey
+        start, size = starts[t], sizes[t]
+        grey = sample(texel, start, size, u * scale, v * scale, wide * scale * size)
+        out[i] = gain * lit * grey
 
 
 @njit_ieee

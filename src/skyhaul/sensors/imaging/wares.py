@@ -9,9 +9,9 @@ from skyhaul.sensors.imaging.canvas import Canvas, clouded
 
 SIZE = 256
 """Edge of these textures [texels]."""
-TAG_FAMILY = cv2.aruco.DICT_APRILTAG_16h5
+TAG_FAMILY = cv2.aruco.DICT_APRILTAG_25h9
 """Family of the tag on the load."""
-TAG_CELLS = 8
+TAG_CELLS = 9
 """Cells along the plate's edge: the tag's border of one, its bits, one white cell around."""
 
 
