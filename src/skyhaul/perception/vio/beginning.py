@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The first state: from gravity while the vehicle stands."""
+
+from dataclasses import dataclass, field
+
+from skyhaul.params import Params
+from skyhaul.perception.vio.api import CameraRig, NavState, StartPose
+from skyhaul.perception.vio.imu import ImuNoise, since
+from skyhaul.perception.vio.intake import Intake
+from skyhaul.perception.vio.standing import Standing, stands, static_start
+from skyhaul.types import US_PER_S, Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beginning(Params):
+    """How the first state is found."""
+
+    standing: Standing = field(default_factory=Standing)
+    """When a vehicle counts as standing."""
+    keep_s: float = 3.0
+    """Frames and samples that are kept [s]."""
+
+
+def begin(
+    params: Beginning,
+    intake: Intake,
+    start: StartPose,
+    rig: CameraRig,
+    noise: ImuNoise,
+    sigma: float,
+) -> tuple[NavState, Array] | None:
+    """State and covariance now, or None while they cannot be known yet."""
+    if not intake.checked:
+        return None
+    standing = params.standing
+    if stands(standing, intake.frames, intake.imu, standing.init_s):
+        begin_us = intake.now_us - round(standing.init_s * US_PER_S)
+        return static_start(standing, since(intake.imu, begin_us), start)
+    return None
