@@ -156,17 +156,66 @@ def graph_of(factors: Sequence[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorG
 
 
 def optimize(
-    factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values, iterations: int
-) -> gtsam.Values:
-    """Levenberg-Marquardt, a few steps.
+    factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values, k: int, iterations: int
+) -> tuple[gtsam.Values, Array]:
+    """Gauss-Newton, a few steps; Levenberg-Marquardt should a step make things worse.
+
+    Landmarks are eliminated first, keyframe k last, so that the last rows of the factorisation
+    hold what all factors say of its state.
+
+    Returns:
+        The solved values, and the covariance (15, 15) of keyframe k as an error of our layout.
 
     Raises:
         RuntimeError: When the problem is singular.
     """
+    graph, ordering = graph_of(factors), _ordering(values, k)
+    tree, error = graph.linearize(values).eliminateMultifrontal(ordering), graph.error(values)
+    for step in range(iterations):
+        moved = values.retract(tree.optimize())
+        after = graph.error(moved)
+        if not after < error * (1.0 + 1e-6) + 1e-9:
+            moved = _careful(graph, values, ordering)
+            after = graph.error(moved)
+        values, gain, error = moved, error - after, after
+        if gain < 1e-3 * after or step == iterations - 1:
+            break
+        tree = graph.linearize(values).eliminateMultifrontal(ordering)
+    return values, _newest_covariance(tree, state_in(values, k), k)
+
+
+def _ordering(values: gtsam.Values, k: int) -> gtsam.Ordering:
+    """Landmarks, then keyframes by time, k the last."""
+    ordering = gtsam.Ordering()
+    keys = values.keys()
+    points = [key for key in keys if gtsam.Symbol(key).chr() == ord("l")]
+    first = k + 1 - (len(keys) - len(points)) // 3
+    for key in points:
+        ordering.push_back(key)
+    for i in range(first, k + 1):
+        for key in (X(i), V(i), B(i)):
+            ordering.push_back(key)
+    return ordering
+
+
+def _careful(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, ordering: gtsam.Ordering
+) -> gtsam.Values:
     params = gtsam.LevenbergMarquardtParams()
-    params.setMaxIterations(iterations)
-    params.setRelativeErrorTol(1e-4)
-    return gtsam.LevenbergMarquardtOptimizer(graph_of(factors), values, params).optimize()
+    params.setMaxIterations(3)
+    return gtsam.LevenbergMarquardtOptimizer(graph, values, ordering, params).optimize()
+
+
+def _newest_covariance(tree: gtsam.GaussianBayesTree, state: NavState, k: int) -> Array:
+    """Covariance of what was eliminated last: pose, velocity and bias of keyframe k."""
+    root = tree.roots()[0].conditional()
+    assert list(root.keys())[-3:] == [X(k), V(k), B(k)]
+    inverse = np.linalg.inv(root.R()[-15:, -15:])
+    M = to_gtsam(state)
+    covariance: Array = M @ inverse @ inverse.T @ M.T
+    if not np.all(np.isfinite(covariance)):
+        raise RuntimeError("the state is not determined")
+    return 0.5 * (covariance + covariance.T)
 
 
 def marginalize(
@@ -187,27 +236,3 @@ def marginalize(
     if rest.size() == 0:
         return kept
     return (*kept, gtsam.LinearContainerFactor(gtsam.HessianFactor(rest), values))
-
-
-def state_covariance(
-    factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values, k: int, state: NavState
-) -> Array:
-    """Covariance of a keyframe's state given everything in the window, (15, 15).
-
-    Raises:
-        RuntimeError: When the state is not determined.
-    """
-    own = {X(k), V(k), B(k)}
-    others = [key for key in values.keys() if key not in own]
-    linear = graph_of(factors).linearize(values)
-    if others:
-        _, linear = linear.eliminatePartialMultifrontal(others)
-    ordering = gtsam.Ordering()
-    for key in (X(k), V(k), B(k)):
-        ordering.push_back(key)
-    information, _ = linear.hessian(ordering)
-    M = to_gtsam(state)
-    covariance: Array = M @ np.linalg.inv(information) @ M.T
-    if not np.all(np.isfinite(covariance)):
-        raise RuntimeError("the state is not determined")
-    return 0.5 * (covariance + covariance.T)

@@ -27,7 +27,6 @@ from skyhaul.perception.vio.factors import (
     sight_factor,
     sight_noise,
     speed_prior,
-    state_covariance,
     state_in,
     state_prior,
 )
@@ -277,10 +276,9 @@ def _solve(estimator: "SmootherEstimator", window: Window) -> Window:
         RuntimeError: When the window is singular.
     """
     params = estimator.params.window
-    values = optimize(window.factors, window.values, params.iterations)
-    state = state_in(values, window.newest)
-    covariance = state_covariance(window.factors, values, window.newest, state)
-    window = replace(window, values=values, state=state, covariance=covariance)
+    k = window.newest
+    values, covariance = optimize(window.factors, window.values, k, params.iterations)
+    window = replace(window, values=values, state=state_in(values, k), covariance=covariance)
     while window.newest - window.oldest >= params.keyframes:
         window = _forget_oldest(window)
     return window
