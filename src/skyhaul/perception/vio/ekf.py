@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from skyhaul.geometry.so3 import hat
 from skyhaul.params import Params
@@ -226,7 +226,8 @@ class EkfEstimator:
                 continue
             residual, H = constraint
             S = H @ filter_.covariance @ H.T + self.sigma**2 * np.eye(len(residual))
-            if residual @ np.linalg.solve(S, residual) > chi2.ppf(self.params.gate, len(residual)):
+            bound = chdtri(len(residual), 1.0 - self.params.gate)  # chi-square quantile
+            if residual @ np.linalg.solve(S, residual) > bound:
                 rejected += 1
                 continue
             rows.append(H)

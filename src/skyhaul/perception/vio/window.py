@@ -45,10 +45,10 @@ NO_LANDMARK = -1
 class WindowParams(Params):
     """The window and its landmarks."""
 
-    keyframes: int = 25
+    keyframes: int = 15
     """Keyframes that are solved together."""
-    iterations: int = 5
-    """Steps of Levenberg-Marquardt at a keyframe."""
+    iterations: int = 2
+    """Gauss-Newton steps at a keyframe."""
     robust: Robust = "tukey"
     """M-estimator of the sights."""
     least_sights: int = 3
