@@ -12,3 +12,8 @@ F = TypeVar("F", bound=Callable[..., object])
 def njit(function: F) -> F:
     """Compile a function with numba: cached on disk, releasing the GIL, strict floating point."""
     return cast(F, numba.njit(cache=True, nogil=True)(function))
+
+
+def njit_ieee(function: F) -> F:
+    """As `njit`, but a division by zero gives inf or nan: no branch in the loops over pixels."""
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
