@@ -70,14 +70,11 @@ def _first_estimate_transition(Phi: Array, first: NavState, to: NavState, dt_s: 
 
 def clone(filter_: CloneFilter, k: int) -> CloneFilter:
     """Remember the pose of now as that of keyframe k."""
-    f, n = filter_, len(filter_.covariance)
-    J = np.zeros((n + 6, n))
-    J[:n, :n] = np.eye(n)
-    J[n:, :6] = np.eye(6)
+    f, rows = filter_, np.r_[0 : len(filter_.covariance), 0:6]
     pose, first = quat_to_R(f.state.q_WI)[None], quat_to_R(f.first.q_WI)[None]
     return replace(
         f,
-        covariance=J @ f.covariance @ J.T,
+        covariance=f.covariance[np.ix_(rows, rows)],
         clone_k=(*f.clone_k, k),
         clone_p=np.vstack([f.clone_p, f.state.p_WI]),
         clone_R=np.concatenate([f.clone_R, pose]),

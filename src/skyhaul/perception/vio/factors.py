@@ -5,12 +5,12 @@ GTSAM's tangents are (turn, shift in body axes) of a pose and (accelerometer, gy
 `to_gtsam` changes our errors (p, R, v, b_g, b_a) into those.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, V, X
+from gtsam.symbol_shorthand import B, L, V, X
 
 from skyhaul.geometry.quaternion import R_to_quat, quat_to_R
 from skyhaul.perception.vio import api
@@ -182,6 +182,48 @@ def optimize(
             break
         tree = graph.linearize(values).eliminateMultifrontal(ordering)
     return values, _newest_covariance(tree, state_in(values, k), k)
+
+
+def adjust_bundle(
+    poses: Mapping[int, gtsam.Pose3],
+    points: Mapping[int, Array],
+    sights: Sequence[tuple[int, int, Array]],
+    fixed: tuple[int, int],
+    sigma: float,
+) -> tuple[dict[int, gtsam.Pose3], dict[int, Array]]:
+    """Poses of a camera and points that fit all sights best, with Tukey's estimator.
+
+    Args:
+        poses: Of the camera by frame.
+        points: By track, (3,).
+        sights: Frame, track, (2,) each.
+        fixed: A frame whose pose stays, and one whose distance from it stays: the free scale.
+        sigma: Standard deviation of a sight in the normalised image.
+
+    Raises:
+        RuntimeError: When the problem is singular.
+    """
+    tight, loose = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6), np.r_[[1e2] * 3, [1e-6] * 3]
+    factors = [
+        gtsam.PriorFactorPose3(X(fixed[0]), poses[fixed[0]], tight),
+        gtsam.PriorFactorPose3(
+            X(fixed[1]), poses[fixed[1]], gtsam.noiseModel.Diagonal.Sigmas(loose)
+        ),
+    ]
+    values, noise = gtsam.Values(), sight_noise("tukey", sigma)
+    for k, pose in poses.items():
+        values.insert(X(k), pose)
+    for track, point in points.items():
+        values.insert(L(track), point)
+        factors.append(point_prior(L(track), point))
+    factors += [sight_factor(xy, noise, k, L(i), gtsam.Pose3()) for k, i, xy in sights]
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(15)
+    values = gtsam.LevenbergMarquardtOptimizer(graph_of(factors), values, params).optimize()
+    return (
+        {k: values.atPose3(X(k)) for k in poses},
+        {i: np.array(values.atPoint3(L(i))) for i in points},
+    )
 
 
 def _ordering(values: gtsam.Values, k: int) -> gtsam.Ordering:

@@ -155,9 +155,9 @@ def sight_error(
         w = mat_vec(R, h)
         for k in range(3):
             J[row, k] = -w[k]
-        J[row, 3] = h[1] * -i[2] + h[2] * i[1]
-        J[row, 4] = h[2] * -i[0] + h[0] * i[2]
-        J[row, 5] = h[0] * -i[1] + h[1] * i[0]
+        J[row, 3] = h[1] * i[2] - h[2] * i[1]  # h x i: the point turns by -x
+        J[row, 4] = h[2] * i[0] - h[0] * i[2]
+        J[row, 5] = h[0] * i[1] - h[1] * i[0]
     return True
 
 
