@@ -47,9 +47,9 @@ class MovingStart(Params):
     """Tracks that its first pair must share."""
     parallax_rad: float = 0.06
     """Median angle between the bearings of its first pair [rad]."""
-    gravity_error: float = 0.15
+    gravity_error: float = 0.1
     """Largest error of the length of gravity that the alignment finds, as a share."""
-    scale_sigma: float = 0.1
+    scale_sigma: float = 0.2
     """Largest standard deviation of the scale, as a share."""
     speed_sigma_mps: float = 0.15
     """Largest standard deviation of the speed in the joint solution [m/s]."""
