@@ -18,7 +18,7 @@ from skyhaul.evaluation.trajectory_error import (
     trajectory_error,
 )
 from skyhaul.evaluation.trajectory_file import read_trajectory, write_tum
-from skyhaul.perception.vio.api import StartPose, VioEstimate, VioEstimator, VioStatus
+from skyhaul.perception.vio.api import Memory, StartPose, VioEstimate, VioEstimator, VioStatus
 from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.recording import Recording
 from skyhaul.perception.vio.smoother import SmootherVio
@@ -75,7 +75,7 @@ def open_recording(path: Path, sigma_px: float) -> Recording:
     return read_track_file(path, sigma_px)
 
 
-def play(estimator: VioEstimator, recording: Recording) -> Played:
+def play(estimator: VioEstimator[Memory], recording: Recording) -> Played:
     """Feed a recording to an estimator; its kernels are compiled before the clock starts."""
     warm_up(recording.rig)
     memory, estimates = estimator.init(StartPose()), []

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from skyhaul.errors import GeometryError
-from skyhaul.geometry.quaternion import quat_log, quat_mul, quat_conj, quat_exp, quat_to_R
+from skyhaul.geometry.quaternion import quat_conj, quat_exp, quat_log, quat_mul, quat_to_R
 from skyhaul.geometry.so3 import rotation_z, so3_log
 from skyhaul.types import Array, IntArray, frozen
 
@@ -175,7 +175,8 @@ def pose_nees(matched: Matched, covariance: Array) -> Array:
     turn = so3_log(np.swapaxes(R_hat, 1, 2) @ (heading @ R))
     error = np.hstack([p - estimate.p, turn])
     scaled = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
-    return np.einsum("ni,ni->n", error, scaled)
+    nees: Array = np.einsum("ni,ni->n", error, scaled)
+    return nees
 
 
 def _rms(x: Array) -> float:

@@ -36,7 +36,9 @@ def read_trajectory(path: Path) -> Trajectory:
     q = table[:, 3:] if comma else table[:, [6, 3, 4, 5]]
     length = np.linalg.norm(q, axis=1)
     if not (np.all(np.isfinite(table)) and np.all(np.abs(length - 1.0) < 1e-2)):
-        raise FileError(f"{path}: holds numbers that are no pose (no unit quaternion); {_KINDS} allowed")
+        raise FileError(
+            f"{path}: holds numbers that are no pose (no unit quaternion); {_KINDS} allowed"
+        )
     time_ns = np.array(times, dtype=np.int64)
     if len(times) > 1 and not np.all(np.diff(time_ns) > 0):
         raise FileError(f"{path}: its times must grow from line to line")

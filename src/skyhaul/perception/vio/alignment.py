@@ -31,15 +31,14 @@ def gyro_bias_step(motions: Sequence[Preintegrated], R_SI: Array) -> Array:
 
     Least squares over pairs: Log(R_ij^T R_i^T R_j) = (d turn / d bias) change.
     """
-    A = np.zeros((3, 3))
-    b = np.zeros(3)
+    A: Array = np.zeros((3, 3))
+    b: Array = np.zeros(3)
     for i, motion in enumerate(motions):
         J = motion.by_bias[R, 0:3]
         e = so3_log(motion.R_ij.T @ R_SI[i].T @ R_SI[i + 1])
         A += J.T @ J
         b += J.T @ e
-    step: Array = np.linalg.solve(A, b)
-    return step
+    return np.asarray(np.linalg.solve(A, b), dtype=np.float64)
 
 
 def align_poses(
@@ -112,5 +111,5 @@ def _solve(A: Array, b: Array, sigma: Array) -> tuple[Array, Array] | None:
     information = weighted.T @ weighted
     if not np.linalg.cond(information) < 1e14:
         return None
-    x: Array = np.linalg.solve(information, weighted.T @ (b / sigma))
-    return x, np.linalg.inv(information)
+    x: Array = np.linalg.solve(information, weighted.T @ (b / sigma)).astype(np.float64)
+    return x, np.linalg.inv(information).astype(np.float64)

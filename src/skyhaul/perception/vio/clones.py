@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyhaul.geometry.quaternion import quat_mul, quat_exp, quat_normalize, quat_to_R
+from skyhaul.geometry.quaternion import quat_exp, quat_mul, quat_normalize, quat_to_R
 from skyhaul.geometry.so3 import hat, so3_exp
 from skyhaul.perception.vio.api import BA, BG, NE, NavState, P, R, V
 from skyhaul.perception.vio.imu import GRAVITY_W

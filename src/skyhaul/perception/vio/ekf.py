@@ -154,21 +154,15 @@ class EkfEstimator:
 
     def _begin(self, memory: EkfMemory) -> tuple[EkfMemory, VioEstimate]:
         p, frame = self.params, memory.intake.frames[-1]
-        first = begin(
-            p.beginning, memory.intake, memory.start, self.rig, p.noise, self.sigma
-        )
+        first = begin(p.beginning, memory.intake, memory.start, self.rig, p.noise, self.sigma)
         if first is None:
             none = np.zeros((NE, NE))
-            return memory, VioEstimate(
-                frame.stamp_us, VioStatus.INITIALIZING, None, none, 0, 0
-            )
+            return memory, VioEstimate(frame.stamp_us, VioStatus.INITIALIZING, None, none, 0, 0)
         memory = self._keyframe(memory, start_filter(*first), frame)
         memory = replace(memory, seen_us=frame.stamp_us)
         return memory, self._estimate(memory, first[0], first[1].copy())
 
-    def _keyframe(
-        self, memory: EkfMemory, filter_: CloneFilter, frame: TrackFrame
-    ) -> EkfMemory:
+    def _keyframe(self, memory: EkfMemory, filter_: CloneFilter, frame: TrackFrame) -> EkfMemory:
         """Clone the pose, follow the tracks, use those that are ripe."""
         p, now, k = self.params, frame.stamp_us, memory.newest + 1
         filter_ = clone(filter_, k)
@@ -206,9 +200,7 @@ class EkfEstimator:
         oldest = filter_.clone_k[0]
         must = [(i, t) for i, t in tracks.items() if full and t.k[0] <= oldest]
         rest = [
-            (i, t)
-            for i, t in tracks.items()
-            if t.k[0] > oldest and len(t.k) >= p.ripe * p.clones
+            (i, t) for i, t in tracks.items() if t.k[0] > oldest and len(t.k) >= p.ripe * p.clones
         ]
         rest.sort(key=lambda item: (-len(item[1].k), item[0]))
         return must + rest[: p.quota]

@@ -13,11 +13,11 @@ import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
 from skyhaul.geometry.quaternion import R_to_quat, quat_to_R
+from skyhaul.geometry.so3 import so3_exp
 from skyhaul.perception.vio import api
 from skyhaul.perception.vio.api import CameraRig, NavState
 from skyhaul.perception.vio.imu import ImuNoise
 from skyhaul.perception.vio.pose_update import CUTOFF_2D
-from skyhaul.geometry.so3 import so3_exp
 from skyhaul.types import GRAVITY_MPS2, Array
 
 Robust = Literal["tukey", "huber", "none"]
@@ -69,9 +69,13 @@ def state_prior(k: int, state: NavState, covariance: Array) -> gtsam.NonlinearFa
     M = to_gtsam(state)
     information = M.T @ np.linalg.inv(covariance) @ M
     root = np.linalg.cholesky(0.5 * (information + information.T)).T
-    blocks = {X(k): root[:, :6], V(k): root[:, 6:9], B(k): root[:, 9:15]}
     gaussian = gtsam.JacobianFactor(
-        *[part for item in blocks.items() for part in item],
+        X(k),
+        root[:, :6],
+        V(k),
+        root[:, 6:9],
+        B(k),
+        root[:, 9:15],
         np.zeros(15),
         gtsam.noiseModel.Unit.Create(15),
     )
@@ -123,9 +127,7 @@ def sight_noise(robust: Robust, sigma: float) -> gtsam.noiseModel.Base:
 
 def camera_poses(rig: CameraRig) -> tuple[gtsam.Pose3, ...]:
     """T_IC of every camera."""
-    return tuple(
-        gtsam.Pose3(gtsam.Rot3(R), p) for R, p in zip(rig.R_IC, rig.p_IC, strict=True)
-    )
+    return tuple(gtsam.Pose3(gtsam.Rot3(R), p) for R, p in zip(rig.R_IC, rig.p_IC, strict=True))
 
 
 def sight_factor(
@@ -144,7 +146,9 @@ def point_prior(landmark: int, p_WP: Array) -> gtsam.NonlinearFactor:
 
 def speed_prior(k: int, sigma_mps: float) -> gtsam.NonlinearFactor:
     """The vehicle stands at a keyframe."""
-    return gtsam.PriorFactorVector(V(k), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, sigma_mps))
+    return gtsam.PriorFactorVector(
+        V(k), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, sigma_mps)
+    )
 
 
 def graph_of(factors: Sequence[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
@@ -204,7 +208,7 @@ def adjust_bundle(
         RuntimeError: When the problem is singular.
     """
     tight, loose = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6), np.r_[[1e2] * 3, [1e-6] * 3]
-    factors = [
+    factors: list[gtsam.NonlinearFactor] = [
         gtsam.PriorFactorPose3(X(fixed[0]), poses[fixed[0]], tight),
         gtsam.PriorFactorPose3(
             X(fixed[1]), poses[fixed[1]], gtsam.noiseModel.Diagonal.Sigmas(loose)

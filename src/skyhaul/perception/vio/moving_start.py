@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -113,10 +114,7 @@ def _stretch(params: MovingStart, intake: Intake) -> Stretch | None:
     if len(picked) < 5:
         return None
     camera = int(np.argmax(np.bincount(picked[-1].camera, minlength=1)))
-    samples = tuple(
-        segments(intake.imu, a.stamp_us, b.stamp_us)
-        for a, b in zip(picked[:-1], picked[1:], strict=True)
-    )
+    samples = tuple(segments(intake.imu, a.stamp_us, b.stamp_us) for a, b in pairwise(picked))
     return Stretch(camera, tuple(sighted(f, camera) for f in picked), samples)
 
 
@@ -134,7 +132,9 @@ def _gyro_bias(
 
 def _sound(params: MovingStart, found: Alignment) -> bool:
     off = abs(found.gravity_free_mps2 / GRAVITY_MPS2 - 1.0)
-    return found.scale > 0.0 and off < params.gravity_error and found.scale_sigma < params.scale_sigma
+    return (
+        found.scale > 0.0 and off < params.gravity_error and found.scale_sigma < params.scale_sigma
+    )
 
 
 def _metric(
@@ -174,8 +174,7 @@ def _joint(
     factors = [state_prior(newest, states[-1], prior)]
     imu = imu_parameters(noise)
     factors += [
-        imu_factor(imu, k, k + 1, samples, states[k])
-        for k, samples in enumerate(stretch.samples)
+        imu_factor(imu, k, k + 1, samples, states[k]) for k, samples in enumerate(stretch.samples)
     ]
     robust, T_IC = sight_noise("tukey", sigma), camera_poses(rig)[stretch.camera]
     for track, point in points.items():

@@ -192,7 +192,7 @@ def _tukey(
     p0, R0, Rn, E = p.copy(), R.copy(), np.empty((3, 3)), np.empty((3, 3))
     e, J, length = np.zeros((n, 2)), np.zeros((n, 2, 6)), np.empty(n)
     g, turn = np.empty(6), np.empty(3)
-    scale = constants[2]
+    scale = float(constants[2])
     for it in range(counts[0]):
         for j in range(n):
             c = sights.camera[j]
@@ -203,7 +203,7 @@ def _tukey(
             J[j] /= sights.sigma[j]
             length[j] = math.sqrt(e[j, 0] ** 2 + e[j, 1] ** 2) if ok else np.inf
         if it < counts[1] and n > 0:
-            scale = max(constants[2], constants[0] * few(n) * np.median(length))
+            scale = max(float(constants[2]), float(constants[0] * few(n) * np.median(length)))
         if not scale < np.inf:
             weight[:] = 0.0
             return scale
@@ -229,7 +229,14 @@ def few(n: int) -> float:
 
 @njit
 def _normal_equations(
-    e: Array, J: Array, length: Array, cutoff: float, scale: float, weight: Array, H: Array, g: Array
+    e: Array,
+    J: Array,
+    length: Array,
+    cutoff: float,
+    scale: float,
+    weight: Array,
+    H: Array,
+    g: Array,
 ) -> None:
     H[:] = 0.0
     g[:] = 0.0
@@ -246,9 +253,7 @@ def _normal_equations(
 
 
 @njit
-def _add_prior(
-    p: Array, R: Array, p0: Array, R0: Array, prior: Array, H: Array, g: Array
-) -> None:
+def _add_prior(p: Array, R: Array, p0: Array, R0: Array, prior: Array, H: Array, g: Array) -> None:
     d, D, Jr, full = np.empty(6), np.empty((3, 3)), np.empty((3, 3)), np.zeros((6, 6))
     for i in range(3):
         for j in range(3):

@@ -59,9 +59,7 @@ def product_t(A: Array, B: Array, out: Array) -> None:
 
 
 @njit
-def step_matrices(
-    R: Array, w: Array, a: Array, dt: float, F: Array, G: Array, work: Array
-) -> None:
+def step_matrices(R: Array, w: Array, a: Array, dt: float, F: Array, G: Array, work: Array) -> None:
     """Error of the state after one sample: e' = F e - G (noise of gyro, noise of accelerometer).
 
     The acceleration acts at the attitude of half time, so its error has half the turn in it.

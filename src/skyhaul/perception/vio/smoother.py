@@ -17,12 +17,11 @@ from skyhaul.perception.vio.api import (
     VioStatus,
 )
 from skyhaul.perception.vio.beginning import Beginning, begin
-from skyhaul.perception.vio.factors import Robust, imu_parameters, sight_noise
 from skyhaul.perception.vio.imu import ImuNoise, advance, segments
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.pose_update import TukeyPose
 from skyhaul.perception.vio.standing import stands
-from skyhaul.perception.vio.window import Window, WindowParams, add_keyframe, open_window
+from skyhaul.perception.vio.window import Setting, Window, WindowParams, add_keyframe, open_window
 from skyhaul.sensors.api import ImuReading
 from skyhaul.types import US_PER_S, Array, TimeUs
 
@@ -102,26 +101,35 @@ class SmootherEstimator:
             return memory, self._estimate(memory, state, covariance)
         standing = self.params.beginning.standing
         rests = stands(standing, memory.intake.frames, memory.intake.imu, standing.window_s)
-        window = add_keyframe(self, window, samples, tracks, rests)
+        window = add_keyframe(self.setting(), window, samples, tracks, rests)
         seen = window.used >= self.params.least_landmarks or rests
         memory = replace(memory, window=window, seen_us=now if seen else memory.seen_us)
         return memory, self._estimate(memory, window.state, window.covariance)
 
+    def setting(self) -> Setting:
+        """What the window needs to know."""
+        p = self.params
+        speed = p.beginning.standing.speed_sigma_mps
+        return Setting(self.rig, self.sigma, p.noise, p.pose, p.window, speed)
+
     def _begin(self, memory: SmootherMemory) -> tuple[SmootherMemory, VioEstimate]:
         now = memory.intake.now_us
         first = begin(
-            self.params.beginning, memory.intake, memory.start, self.rig, self.params.noise, self.sigma
+            self.params.beginning,
+            memory.intake,
+            memory.start,
+            self.rig,
+            self.params.noise,
+            self.sigma,
         )
         if first is None:
             none = VioEstimate(now, VioStatus.INITIALIZING, None, np.zeros((NE, NE)), 0, 0)
             return memory, none
-        window = open_window(self, now, first, memory.intake.frames[-1])
+        window = open_window(now, first, memory.intake.frames[-1])
         memory = replace(memory, window=window, seen_us=now)
         return memory, self._estimate(memory, window.state, window.covariance)
 
-    def _estimate(
-        self, memory: SmootherMemory, state: NavState, covariance: Array
-    ) -> VioEstimate:
+    def _estimate(self, memory: SmootherMemory, state: NavState, covariance: Array) -> VioEstimate:
         now, window = memory.intake.now_us, memory.window
         assert window is not None
         lost = now - memory.seen_us > round(self.params.lost_s * US_PER_S)

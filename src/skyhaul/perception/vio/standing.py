@@ -11,7 +11,7 @@ from skyhaul.geometry.so3 import hat, rotation_z, so3_exp
 from skyhaul.params import Params
 from skyhaul.perception.vio.api import BA, BG, NE, NavState, P, R, StartPose, TrackFrame, V
 from skyhaul.sensors.api import ImuReading
-from skyhaul.types import GRAVITY_MPS2, US_PER_S, Array
+from skyhaul.types import GRAVITY_MPS2, US_PER_S, Array, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,10 +20,13 @@ class Standing(Params):
 
     window_s: float = 0.5
     """Time over which nothing may have moved [s]."""
-    flow: float = 0.0025
-    """Largest median motion of the tracks in that time, in the normalised image."""
+    flow: float = 0.002
+    """Motion from the first half of that time to the second that counts as none, in the
+    normalised image."""
+    share: float = 0.4
+    """Share of the tracks that must not move; the others may be outliers."""
     least_tracks: int = 6
-    """Tracks that must be seen at both ends; with fewer the IMU alone decides."""
+    """Tracks that must be seen in both halves; with fewer the IMU alone decides."""
     gyro_std_rad_s: float = 0.01
     """Without tracks: largest standard deviation of the angular rate [rad/s]."""
     accel_std_mps2: float = 0.1
@@ -45,6 +48,8 @@ class Standing(Params):
         for name, value in vars(self).items():
             if not value > 0:
                 raise ValueError(f"{name} must be > 0, got {value}")
+        if not self.share < 1.0:
+            raise ValueError(f"share must lie between 0 and 1, got {self.share}")
 
 
 def stands(
@@ -52,32 +57,47 @@ def stands(
 ) -> bool:
     """Whether nothing moved in a window that ends with the last frame.
 
-    The tracks decide: rotors shake an IMU that stands. The last frame is held against every
-    frame of the window; the frames must reach back over all of it.
+    The tracks decide: rotors shake an IMU that stands. Where a track was on average in the first
+    half is held against where it was in the second; averages take the noise out.
 
     Args:
         params: Thresholds.
-        frames: In order of time, the last one is now.
+        frames: In order of time, the last one is now; they must reach back over all the window.
         imu: Samples of the window, for a vehicle that sees nothing.
         window_s: Length of the window [s].
     """
-    now = frames[-1]
-    begin_us = now.stamp_us - round(window_s * US_PER_S)
+    now_us = frames[-1].stamp_us
+    begin_us = now_us - round(window_s * US_PER_S)
     if frames[0].stamp_us > begin_us:
         return False
-    first = max(i for i, f in enumerate(frames) if f.stamp_us <= begin_us)
-    flows = [flow(f, now) for f in frames[first:-1]]
-    if all(count >= params.least_tracks for _, count in flows):
-        return all(motion <= params.flow for motion, _ in flows)
+    middle_us = now_us - round(0.5 * window_s * US_PER_S)
+    early = [f for f in frames if begin_us <= f.stamp_us <= middle_us]
+    late = [f for f in frames if f.stamp_us > middle_us]
+    moved = flow(early, late)
+    if len(moved) >= params.least_tracks:
+        return float(np.quantile(moved, params.share)) <= params.flow
     return _imu_quiet(params, imu, begin_us)
 
 
-def flow(a: TrackFrame, b: TrackFrame) -> tuple[float, int]:
-    """Median motion of the tracks that two frames share, and their number."""
-    _, i, j = np.intersect1d(a.track_id, b.track_id, assume_unique=True, return_indices=True)
-    if len(i) == 0:
-        return 0.0, 0
-    return float(np.median(np.linalg.norm(a.xy[i] - b.xy[j], axis=1))), len(i)
+def flow(early: Sequence[TrackFrame], late: Sequence[TrackFrame]) -> Array:
+    """Motion of each track that all frames share, from the mean of some to that of others, (k,)."""
+    shared = early[0].track_id if early else np.zeros(0, dtype=np.int64)
+    for frame in [*early, *late]:
+        shared = np.intersect1d(shared, frame.track_id, assume_unique=True)
+    if not late or not len(shared):
+        return np.zeros(0)
+    shift = _mean_of(early, shared) - _mean_of(late, shared)
+    moved: Array = np.linalg.norm(shift, axis=1)
+    return moved
+
+
+def _mean_of(frames: Sequence[TrackFrame], tracks: IntArray) -> Array:
+    """Where tracks were on average, (k, 2); `tracks` in growing order."""
+    total = np.zeros((len(tracks), 2))
+    for frame in frames:
+        order = np.argsort(frame.track_id)
+        total += frame.xy[order[np.searchsorted(frame.track_id, tracks, sorter=order)]]
+    return total / len(frames)
 
 
 def _imu_quiet(params: Standing, imu: ImuReading, begin_us: int) -> bool:
@@ -134,9 +154,7 @@ def static_start(params: Standing, imu: ImuReading, start: StartPose) -> tuple[N
     H[3:6, R] = hat(GRAVITY_MPS2 * up)
     H[3:6, BA] = np.eye(3)
     H[6:9, V] = np.eye(3)
-    sigma = np.repeat(
-        [params.rate_sigma_rad_s, params.force_sigma_mps2, params.speed_sigma_mps], 3
-    )
+    sigma = np.repeat([params.rate_sigma_rad_s, params.force_sigma_mps2, params.speed_sigma_mps], 3)
     S = H @ prior @ H.T + np.diag(sigma**2)
     K = np.linalg.solve(S, H @ prior).T
     I_KH = np.eye(NE) - K @ H
@@ -144,7 +162,5 @@ def static_start(params: Standing, imu: ImuReading, start: StartPose) -> tuple[N
     # The bias along the vertical is seen: the rest of the force went into the tilt.
     residual = np.concatenate([rate, force - GRAVITY_MPS2 * up, np.zeros(3)])
     dx = K @ residual
-    state = NavState(
-        start.p_WI, R_to_quat(R_WI @ so3_exp(dx[R])), np.zeros(3), dx[BG], dx[BA]
-    )
+    state = NavState(start.p_WI, R_to_quat(R_WI @ so3_exp(dx[R])), np.zeros(3), dx[BG], dx[BA])
     return state, 0.5 * (covariance + covariance.T)

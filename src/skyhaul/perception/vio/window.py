@@ -5,8 +5,8 @@ A window is never changed: each function returns a new one.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -14,7 +14,7 @@ from gtsam.symbol_shorthand import B, L, V, X
 
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.params import Params
-from skyhaul.perception.vio.api import BA, BG, NavState, TrackFrame
+from skyhaul.perception.vio.api import CameraRig, NavState, TrackFrame
 from skyhaul.perception.vio.factors import (
     Robust,
     camera_poses,
@@ -30,13 +30,10 @@ from skyhaul.perception.vio.factors import (
     state_in,
     state_prior,
 )
-from skyhaul.perception.vio.imu import advance
-from skyhaul.perception.vio.pose_update import Sights, bearings, update_pose
+from skyhaul.perception.vio.imu import ImuNoise, advance
+from skyhaul.perception.vio.pose_update import Sights, TukeyPose, bearings, update_pose
 from skyhaul.perception.vio.triangulation import locate
-from skyhaul.types import US_PER_S, Array, Mask, TimeUs
-
-if TYPE_CHECKING:
-    from skyhaul.perception.vio.smoother import SmootherEstimator
+from skyhaul.types import Array, Mask, TimeUs
 
 NO_LANDMARK = -1
 
@@ -50,7 +47,7 @@ class WindowParams(Params):
     iterations: int = 2
     """Gauss-Newton steps at a keyframe."""
     robust: Robust = "tukey"
-    """M-estimator of the sights."""
+    """M-setting of the sights."""
     least_sights: int = 3
     """Keyframes that must have seen a track before it becomes a landmark."""
     parallax_rad: float = 0.03
@@ -68,6 +65,18 @@ class WindowParams(Params):
                 raise ValueError(f"{name} must be >= 1, got {getattr(self, name)}")
         if not 0.0 < self.depth_m[0] < self.depth_m[1]:
             raise ValueError(f"depth_m must be two growing depths > 0, got {self.depth_m}")
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What the window needs to know of the vehicle and of the estimator."""
+
+    rig: CameraRig
+    sigma: float  # standard deviation of a track in the normalised image
+    noise: ImuNoise
+    pose: TukeyPose
+    params: WindowParams
+    speed_sigma_mps: float  # of a vehicle that stands
 
 
 class Sight(NamedTuple):
@@ -106,9 +115,7 @@ class Window:
     rebuilt: int = 0  # how often the window turned out singular
 
 
-def open_window(
-    estimator: "SmootherEstimator", now: TimeUs, first: tuple[NavState, Array], tracks: TrackFrame
-) -> Window:
+def open_window(now: TimeUs, first: tuple[NavState, Array], tracks: TrackFrame) -> Window:
     """A window of one keyframe whose state is known with a covariance."""
     state, covariance = first
     values = gtsam.Values()
@@ -130,27 +137,27 @@ def open_window(
 
 
 def add_keyframe(
-    estimator: "SmootherEstimator", window: Window, samples: Array, frame: TrackFrame, rests: bool
+    setting: Setting, window: Window, samples: Array, frame: TrackFrame, rests: bool
 ) -> Window:
     """The window with a new keyframe, solved; a singular one is built anew from the prediction."""
-    predicted, Phi, Q = advance(window.state, samples, estimator.params.noise.densities())
+    predicted, Phi, Q = advance(window.state, samples, setting.noise.densities())
     covariance = Phi @ window.covariance @ Phi.T + Q
-    agrees, known = _agreeing(estimator, window, frame, predicted, covariance)
-    grown = _grow(estimator, window, samples, frame, predicted)
-    grown = _see(estimator, grown, frame, agrees, known)
+    agrees, known = _agreeing(setting, window, frame, predicted, covariance)
+    grown = _grow(setting, window, samples, frame, predicted)
+    grown = _see(setting, grown, frame, agrees, known)
     if rests:
-        speed = estimator.params.beginning.standing.speed_sigma_mps
+        speed = setting.speed_sigma_mps
         grown = replace(grown, factors=(*grown.factors, speed_prior(grown.newest, speed)))
     grown = replace(grown, stamp_us=frame.stamp_us)
     try:
-        return _solve(estimator, _add_landmarks(estimator, grown))
+        return _solve(setting, _add_landmarks(setting, grown))
     except RuntimeError:
-        fresh = open_window(estimator, frame.stamp_us, (predicted, covariance), frame)
+        fresh = open_window(frame.stamp_us, (predicted, covariance), frame)
         return replace(fresh, rebuilt=window.rebuilt + 1)
 
 
 def _agreeing(
-    estimator: "SmootherEstimator",
+    setting: Setting,
     window: Window,
     frame: TrackFrame,
     predicted: NavState,
@@ -168,17 +175,17 @@ def _agreeing(
         points,
         bearings(frame.xy[known]),
         frame.camera[known],
-        np.full(len(points), estimator.sigma),
+        np.full(len(points), setting.sigma),
     )
     guess = (predicted.p_WI, quat_to_R(predicted.q_WI))
-    prior = np.linalg.inv(covariance[:6, :6])
-    fix = update_pose(estimator.params.pose, estimator.rig, guess, sights, prior)
+    prior = np.asarray(np.linalg.inv(covariance[:6, :6]), dtype=np.float64)
+    fix = update_pose(setting.pose, setting.rig, guess, sights, prior)
     agrees[known] = fix.inlier
     return agrees, known
 
 
 def _grow(
-    estimator: "SmootherEstimator",
+    setting: Setting,
     window: Window,
     samples: Array,
     frame: TrackFrame,
@@ -187,19 +194,15 @@ def _grow(
     k = window.newest + 1
     values = gtsam.Values(window.values)
     insert_state(values, k, predicted)
-    imu = imu_factor(
-        imu_parameters(estimator.params.noise), k - 1, k, samples, window.state
-    )
+    imu = imu_factor(imu_parameters(setting.noise), k - 1, k, samples, window.state)
     return replace(window, newest=k, values=values, factors=(*window.factors, imu))
 
 
-def _see(
-    estimator: "SmootherEstimator", window: Window, frame: TrackFrame, agrees: Mask, known: Mask
-) -> Window:
+def _see(setting: Setting, window: Window, frame: TrackFrame, agrees: Mask, known: Mask) -> Window:
     """Take the sights of the new keyframe in."""
-    params, k = estimator.params.window, window.newest
-    noise = sight_noise(params.robust, estimator.sigma)
-    T_IC = camera_poses(estimator.rig)
+    params, k = setting.params, window.newest
+    noise = sight_noise(params.robust, setting.sigma)
+    T_IC = camera_poses(setting.rig)
     factors, tracks, landmarks = list(window.factors), {}, dict(window.landmarks)
     for row, track_id in enumerate(frame.track_id.tolist()):
         camera, sight = int(frame.camera[row]), Sight(k, frame.xy[row])
@@ -227,10 +230,10 @@ def _see(
     )
 
 
-def _add_landmarks(estimator: "SmootherEstimator", window: Window) -> Window:
+def _add_landmarks(setting: Setting, window: Window) -> Window:
     """Tracks seen from far enough apart become landmarks."""
-    params, rig = estimator.params.window, estimator.rig
-    noise, T_IC = sight_noise(params.robust, estimator.sigma), camera_poses(rig)
+    params, rig = setting.params, setting.rig
+    noise, T_IC = sight_noise(params.robust, setting.sigma), camera_poses(rig)
     values, factors = gtsam.Values(window.values), list(window.factors)
     tracks, landmarks = dict(window.tracks), dict(window.landmarks)
     poses = {k: values.atPose3(X(k)) for k in range(window.oldest, window.newest + 1)}
@@ -248,15 +251,13 @@ def _add_landmarks(estimator: "SmootherEstimator", window: Window) -> Window:
             continue
         if not params.depth_m[0] < point.depth_m < params.depth_m[1]:
             continue
-        if point.error > params.fit * np.sqrt(2.0) * estimator.sigma:
+        if point.error > params.fit * np.sqrt(2.0) * setting.sigma:
             continue
         key = L(following)
         following += 1
         values.insert(key, point.p_WP)
         factors.append(point_prior(key, point.p_WP))
-        factors += [
-            sight_factor(s.xy, noise, s.k, key, T_IC[track.camera]) for s in track.sights
-        ]
+        factors += [sight_factor(s.xy, noise, s.k, key, T_IC[track.camera]) for s in track.sights]
         tracks[track_id] = replace(track, landmark=key)
         landmarks[key] = window.newest
     return replace(
@@ -269,13 +270,13 @@ def _add_landmarks(estimator: "SmootherEstimator", window: Window) -> Window:
     )
 
 
-def _solve(estimator: "SmootherEstimator", window: Window) -> Window:
+def _solve(setting: Setting, window: Window) -> Window:
     """Solve, then take out what is older than the window.
 
     Raises:
         RuntimeError: When the window is singular.
     """
-    params = estimator.params.window
+    params = setting.params
     k = window.newest
     values, covariance = optimize(window.factors, window.values, k, params.iterations)
     window = replace(window, values=values, state=state_in(values, k), covariance=covariance)
