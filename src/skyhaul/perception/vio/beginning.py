@@ -23,6 +23,11 @@ class Beginning(Params):
     keep_s: float = 3.0
     """Frames and samples that are kept [s]."""
 
+    def __post_init__(self) -> None:
+        least_s = max(2.0, 1.1 * self.moving.span_s, 1.1 * self.standing.init_s)
+        if not self.keep_s >= least_s:
+            raise ValueError(f"keep_s must be >= {least_s:g}, got {self.keep_s}")
+
 
 def begin(
     params: Beginning,

@@ -29,6 +29,11 @@ def check_imu(imu: ImuReading) -> None:
     Raises:
         SensorDataError: When the samples are no IMU's.
     """
+    if len(imu.stamp_us) < 2:
+        raise SensorDataError(
+            f"IMU: {len(imu.stamp_us)} samples in its first second; "
+            f"{RATE_HZ[0]:g} to {RATE_HZ[1]:g} a second are needed"
+        )
     _check_finite(imu)
     _check_times(imu.stamp_us / US_PER_S)
     force = np.linalg.norm(imu.accel_I, axis=1)
@@ -63,8 +68,6 @@ def _check_finite(imu: ImuReading) -> None:
 
 
 def _check_times(t_s: Array) -> None:
-    if len(t_s) < 2:
-        raise SensorDataError(f"IMU: {len(t_s)} samples in its first second, 50 at least needed")
     dt_s = np.diff(t_s)
     if not np.all(dt_s > 0.0):
         raise SensorDataError(

@@ -3,6 +3,8 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from skyhaul.errors import SensorDataError
 from skyhaul.perception.vio.api import TrackFrame
 from skyhaul.perception.vio.imu import NO_SAMPLES, join, since
@@ -47,13 +49,14 @@ class Intake:
             )
         samples = join(self.imu, imu)
         checked = self.checked
-        if not checked and len(samples.stamp_us) and _span_s(samples) >= CHECK_S:
-            check_imu(samples)
-            checked = True
         oldest_us = tracks.stamp_us - round(self.keep_s * US_PER_S)
         frames = tuple(f for f in (*self.frames, tracks) if f.stamp_us >= oldest_us)
+        span_s = (tracks.stamp_us - frames[0].stamp_us) / US_PER_S
+        if not checked and (_span_s(samples) >= CHECK_S or span_s >= 1.5 * CHECK_S):
+            check_imu(samples)
+            checked = True
         return replace(self, imu=since(samples, oldest_us), frames=frames, checked=checked)
 
 
 def _span_s(imu: ImuReading) -> float:
-    return float(imu.stamp_us[-1] - imu.stamp_us[0]) / US_PER_S
+    return float(np.ptp(imu.stamp_us)) / US_PER_S if len(imu.stamp_us) else 0.0

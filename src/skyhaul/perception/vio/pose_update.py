@@ -86,6 +86,16 @@ def bearings(xy: Array) -> Array:
     return unit
 
 
+def bearing_sigma(xy: Array, sigma: float) -> Array:
+    """Standard deviation of bearings [rad] whose images have `sigma`: (n, 2) -> (n,).
+
+    Off the axis the same error in the image is a smaller angle, by 1 + r^2 along the radius and
+    its root across; the mean of both in the geometric sense.
+    """
+    spread: Array = sigma * (1.0 + np.sum(xy * xy, axis=1)) ** -0.75
+    return spread
+
+
 def update_pose(
     params: TukeyPose,
     rig: CameraRig,

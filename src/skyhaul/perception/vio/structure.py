@@ -14,7 +14,7 @@ import numpy as np
 
 from skyhaul.perception.vio.api import CameraRig, TrackFrame
 from skyhaul.perception.vio.factors import adjust_bundle
-from skyhaul.perception.vio.pose_update import Sights, TukeyPose, bearings, update_pose
+from skyhaul.perception.vio.pose_update import Sights, TukeyPose, bearing_sigma, bearings, update_pose
 from skyhaul.perception.vio.triangulation import locate
 from skyhaul.types import Array, IntArray, frozen
 
@@ -167,7 +167,7 @@ def _locate_frame(
     xy = np.array([frame[i] for i in ids])
     at = np.array([points[i] for i in ids])
     camera: IntArray = np.zeros(len(ids), dtype=np.int64)
-    sights = Sights(at, bearings(xy), camera, np.full(len(ids), sigma))
+    sights = Sights(at, bearings(xy), camera, bearing_sigma(xy, sigma))
     fix = update_pose(TukeyPose(), _ONE_CAMERA, (guess[1], guess[0]), sights)
     if np.count_nonzero(fix.inlier) < least_tracks or not fix.scale < 5.0:
         return None

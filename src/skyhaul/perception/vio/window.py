@@ -31,7 +31,7 @@ from skyhaul.perception.vio.factors import (
     state_prior,
 )
 from skyhaul.perception.vio.imu import ImuNoise, advance
-from skyhaul.perception.vio.pose_update import Sights, TukeyPose, bearings, update_pose
+from skyhaul.perception.vio.pose_update import Sights, TukeyPose, bearing_sigma, bearings, update_pose
 from skyhaul.perception.vio.triangulation import locate
 from skyhaul.types import Array, Mask, TimeUs
 
@@ -175,7 +175,7 @@ def _agreeing(
         points,
         bearings(frame.xy[known]),
         frame.camera[known],
-        np.full(len(points), setting.sigma),
+        bearing_sigma(frame.xy[known], setting.sigma),
     )
     guess = (predicted.p_WI, quat_to_R(predicted.q_WI))
     prior = np.asarray(np.linalg.inv(covariance[:6, :6]), dtype=np.float64)
