@@ -37,6 +37,7 @@ class Flight:
     cameras: int = 1
     tracks: int = 25  # followed by each camera
     outliers: float = 0.0  # share of the tracks that slide
+    pace: float = 1.0  # of the swinging; accelerations grow with its square
     noise_px: float = 0.7
     gyro_rad_s_rthz: float = 2e-4
     accel_mps2_rthz: float = 2e-3
@@ -51,20 +52,21 @@ class Simulated:
     v_WI: Array  # (n, 3) [m/s]
 
 
-def motion(flight: Flight) -> Callable[[float], tuple[Array, Array]]:
-    """Pose as a function of time: p_WI, R_WI."""
+def motion(flight: Flight) -> Callable[[Array], tuple[Array, Array]]:
+    """Poses as a function of times [s], (n,): p_WI (n, 3) and R_WI (n, 3, 3)."""
     rng = np.random.default_rng([flight.seed, 1])
-    rate = rng.uniform(0.5, 1.3, (2, 6))
+    rate = flight.pace * rng.uniform(0.5, 1.3, (2, 6))
     phase = rng.uniform(0.0, 2.0 * np.pi, (2, 6))
     size = np.array([0.8, 0.8, 0.35, 0.15, 0.15, 0.4]) / 2.0
 
-    def pose(t_s: float) -> tuple[Array, Array]:
-        late = max(0.0, t_s - flight.still_s)
+    def poses(t_s: Array) -> tuple[Array, Array]:
+        late = np.maximum(0.0, t_s - flight.still_s)
         tau = late**4 / (late**3 + 1.0)  # rises smoothly from standing to t
-        x = size * np.sum(np.sin(rate * tau + phase) - np.sin(phase), axis=0)
-        return x[:3], euler_to_R(x[3:])
+        sines = np.sin(rate * tau[:, None, None] + phase) - np.sin(phase)
+        x = size * np.sum(sines, axis=1)
+        return x[:, :3], euler_to_R(x[:, 3:])
 
-    return pose
+    return poses
 
 
 def rig_of(cameras: int) -> CameraRig:
@@ -77,30 +79,27 @@ def rig_of(cameras: int) -> CameraRig:
 
 def simulate(flight: Flight) -> Simulated:
     """Make a flight up; the same flight, the same bytes."""
-    pose = motion(flight)
+    poses = motion(flight)
     stamps = np.arange(0, round(flight.duration_s * 20) + 1) * (US_PER_S // 20)
-    poses = [pose(t / US_PER_S) for t in stamps]
-    truth = Trajectory(
-        1000 * stamps, np.array([p for p, _ in poses]), R_to_quat(np.array([R for _, R in poses]))
-    )
-    ahead = np.array([pose(t / US_PER_S + _H)[0] for t in stamps])
-    behind = np.array([pose(t / US_PER_S - _H)[0] for t in stamps])
+    t = stamps / US_PER_S
+    p_WI, R_WI = poses(t)
+    truth = Trajectory(1000 * stamps, p_WI, R_to_quat(R_WI))
+    v_WI = (poses(t + _H)[0] - poses(t - _H)[0]) / (2.0 * _H)
     rig = rig_of(flight.cameras)
-    frames = tuple(_frames(flight, rig, stamps, poses))
-    recording = Recording(
-        rig, _imu(flight, pose), lambda: iter(frames), flight.noise_px / FOCAL_PX, 0
-    )
-    return Simulated(recording, truth, (ahead - behind) / (2.0 * _H))
+    frames = tuple(_frames(flight, rig, stamps, list(zip(p_WI, R_WI, strict=True))))
+    sigma = max(flight.noise_px, 0.1) / FOCAL_PX
+    recording = Recording(rig, _imu(flight, poses), lambda: iter(frames), sigma, 0)
+    return Simulated(recording, truth, v_WI)
 
 
-def _imu(flight: Flight, pose: Callable[[float], tuple[Array, Array]]) -> ImuReading:
+def _imu(flight: Flight, poses: Callable[[Array], tuple[Array, Array]]) -> ImuReading:
     rng = np.random.default_rng([flight.seed, 2])
     stamps = np.arange(0, round(flight.duration_s * 200) + 2) * (US_PER_S // 200)
-    gyro, accel = np.empty((len(stamps), 3)), np.empty((len(stamps), 3))
-    for i, t in enumerate(stamps / US_PER_S):
-        (p0, R0), (p1, R1), (p2, R2) = pose(t - _H), pose(t), pose(t + _H)
-        gyro[i] = so3_log(R0.T @ R2) / (2.0 * _H)
-        accel[i] = R1.T @ ((p2 - 2.0 * p1 + p0) / _H**2 + [0.0, 0.0, GRAVITY_MPS2])
+    t = stamps / US_PER_S
+    (p0, R0), (p1, R1), (p2, R2) = poses(t - _H), poses(t), poses(t + _H)
+    gyro = so3_log(np.swapaxes(R0, 1, 2) @ R2) / (2.0 * _H)
+    force_W = (p2 - 2.0 * p1 + p0) / _H**2 + [0.0, 0.0, GRAVITY_MPS2]
+    accel = np.einsum("nji,nj->ni", R1, force_W)
     root_hz = np.sqrt(200.0)
     gyro += GYRO_BIAS + flight.gyro_rad_s_rthz * root_hz * rng.normal(size=gyro.shape)
     accel += ACCEL_BIAS + flight.accel_mps2_rthz * root_hz * rng.normal(size=accel.shape)

@@ -125,7 +125,7 @@ def test_scale_is_estimated_from_the_errors():
     fix = update_pose(TukeyPose(), rig, GUESS, sights)
     assert fix.scale == pytest.approx(3.0 * few(400), rel=0.1)
     ptam = update_pose(TukeyPose(scale="ptam"), rig, GUESS, sights)
-    assert ptam.scale == pytest.approx(fix.scale * 1.4826 / 0.8493, rel=1e-2)
+    assert ptam.scale == pytest.approx(fix.scale * 1.4826 / 0.8493, rel=2e-2)
 
 
 def test_information_is_the_inverse_covariance_of_many_fits():

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from skyhaul.geometry.quaternion import quat_conj, quat_log, quat_mul, quat_normalize
+from skyhaul.geometry.so3 import so3_log
 from skyhaul.perception.vio.api import NavState
 from skyhaul.perception.vio.factors import imu_parameters
 from skyhaul.perception.vio.imu import ImuNoise, advance, segments, since
 from skyhaul.perception.vio.preintegration import preintegrate
+from skyhaul.perception.vio.propagation import right_jacobian
 from skyhaul.sensors.api import ImuReading
 
 NOISE = ImuNoise()
@@ -63,7 +65,12 @@ def test_sums_and_covariance_are_those_of_gtsam(samples, state):
     np.testing.assert_allclose(sums.dv, theirs.deltaVij(), atol=1.5e-2)
     np.testing.assert_allclose(sums.dp, theirs.deltaPij(), atol=1e-2)
     ours, layout = sums.covariance, np.r_[3:6, 0:3, 6:9]  # GTSAM: turn, place, speed
-    expected = theirs.preintMeasCov()[:9, :9]
+    # Its turn is a rotation vector; ours is an error on the right of R_ij.
+    to_right = np.eye(9)
+    jacobian = np.empty((3, 3))
+    right_jacobian(so3_log(sums.R_ij), jacobian)
+    to_right[:3, :3] = jacobian
+    expected = to_right @ theirs.preintMeasCov()[:9, :9] @ to_right.T
     sigma = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
         ours[np.ix_(layout, layout)] / np.outer(sigma, sigma),
