@@ -30,6 +30,8 @@ PACKAGES = [
     "mcap",
     "pyarrow",
     "plotly",
+    "gtsam",
+    "opencv-contrib-python-headless",
     "av",
     "matplotlib",
 ]

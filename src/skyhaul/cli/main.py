@@ -86,6 +86,8 @@ def command(name: str) -> Callable[[argparse.Namespace], int]:
 
             return config
         case "vio":
+            # Its matrices are small: more threads of BLAS would only wait for each other.
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
             from skyhaul.cli.vio import vio
 
             return vio

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from simulated_tracks import rig_of
 
-from skyhaul.geometry.quaternion import R_to_quat, quat_mul, quat_conj, quat_log
+from skyhaul.geometry.quaternion import R_to_quat, quat_conj, quat_log, quat_mul
 from skyhaul.geometry.so3 import so3_exp
 from skyhaul.perception.vio.api import NE, NavState
 from skyhaul.perception.vio.clones import clone, correct, forget_clone, move, start_filter
@@ -63,7 +63,10 @@ def test_motion_leaves_clones_alone_and_carries_their_correlation():
 
 
 def test_correction_is_bayes_rule_in_information_form(filled):
-    rng, filled = np.random.default_rng(2), forget_clone(filled, 2)  # the newest is the state's twin
+    rng, filled = (
+        np.random.default_rng(2),
+        forget_clone(filled, 2),
+    )  # the newest is the state's twin
     n = len(filled.covariance)
     for rows in (5, n + 20):
         H, residual, sigma = rng.normal(size=(rows, n)), 0.01 * rng.normal(size=rows), 0.3
@@ -74,7 +77,9 @@ def test_correction_is_bayes_rule_in_information_form(filled):
         np.testing.assert_allclose(after.state.p_WI - filled.state.p_WI, dx[:3], atol=1e-9)
         turn = quat_log(quat_mul(quat_conj(filled.state.q_WI), after.state.q_WI))
         np.testing.assert_allclose(turn, dx[3:6], atol=1e-9)
-        np.testing.assert_allclose(after.clone_p[1] - filled.clone_p[1], dx[NE + 6 : NE + 9], atol=1e-9)
+        np.testing.assert_allclose(
+            after.clone_p[1] - filled.clone_p[1], dx[NE + 6 : NE + 9], atol=1e-9
+        )
         np.testing.assert_array_equal(after.first_p, filled.first_p)
 
 
@@ -130,7 +135,9 @@ def test_a_constraint_does_not_depend_on_the_place_of_its_point():
     f = start_filter(state, 1e-4 * np.eye(NE))
     for k in range(6):
         moved = NavState(
-            0.2 * rng.normal(size=3), R_to_quat(so3_exp(0.1 * rng.normal(size=3))), *np.zeros((3, 3))
+            0.2 * rng.normal(size=3),
+            R_to_quat(so3_exp(0.1 * rng.normal(size=3))),
+            *np.zeros((3, 3)),
         )
         f = clone(start_filter(moved, f.covariance) if k == 0 else _at(f, moved), k)
     point = np.array([4.0, 0.5, -0.3])
@@ -143,7 +150,9 @@ def test_a_constraint_does_not_depend_on_the_place_of_its_point():
     common = np.tile(np.r_[0.3, -0.2, 0.1, 0.0, 0.0, 0.0], 6)
     np.testing.assert_allclose(H[:, NE:] @ common, 0.0, atol=1e-9)
     w = np.array([0.2, -0.1, 0.3])
-    turn = np.concatenate([np.r_[np.cross(w, p), R.T @ w] for p, R in zip(f.clone_p, f.clone_R)])
+    turn = np.concatenate(
+        [np.r_[np.cross(w, p), R.T @ w] for p, R in zip(f.clone_p, f.clone_R, strict=True)]
+    )
     np.testing.assert_allclose(H[:, NE:] @ turn, 0.0, atol=1e-9)
     assert np.linalg.norm(H) > 0.1
 

@@ -114,7 +114,9 @@ def test_intake_keeps_what_is_young_and_refuses_time_that_goes_back():
     assert intake.frames[0].stamp_us == 900_000
     assert intake.imu.stamp_us[0] == 900_000
     with pytest.raises(SensorDataError, match="frame at 2000000 us came after"):
-        intake.take(ImuReading(*(a[:0] for a in (imu.stamp_us, imu.gyro_I, imu.accel_I))), frame(2_000_000))
+        intake.take(
+            ImuReading(*(a[:0] for a in (imu.stamp_us, imu.gyro_I, imu.accel_I))), frame(2_000_000)
+        )
     with pytest.raises(SensorDataError, match="sample at 0 us came after"):
         intake.take(imu, frame(2_100_000))
 

@@ -20,7 +20,7 @@ from skyhaul.perception.vio.pose_update import (
 
 SIGMA = 2e-3
 TRUE_P, TRUE_R = np.array([0.3, -0.2, 0.5]), so3_exp(np.array([0.1, 0.2, -0.3]))
-GUESS = (TRUE_P + [0.1, -0.08, 0.06], TRUE_R @ so3_exp(np.array([0.05, -0.04, 0.06])))
+GUESS = (TRUE_P + np.array([0.1, -0.08, 0.06]), TRUE_R @ so3_exp(np.array([0.05, -0.04, 0.06])))
 
 
 def scene(seed=0, n=100, cameras=4, outliers=0.0, noise=1.0):
@@ -97,7 +97,9 @@ def test_without_the_cutoff_40_percent_outliers_do_harm():
     # The same solver with a scale that never cuts: least squares.
     rig, dirty, _ = scene(0, outliers=0.4)
     least_squares = update_pose(TukeyPose(scale_floor=1e3), rig, GUESS, dirty)
-    assert error_of(least_squares)[0] > 4.0 * error_of(update_pose(TukeyPose(), rig, GUESS, dirty))[0]
+    assert (
+        error_of(least_squares)[0] > 4.0 * error_of(update_pose(TukeyPose(), rig, GUESS, dirty))[0]
+    )
 
 
 def test_scale_constant_is_that_of_the_length_of_2d_errors():

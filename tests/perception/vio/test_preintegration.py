@@ -81,16 +81,18 @@ def test_sums_and_covariance_are_those_of_gtsam(samples, state):
 
 @pytest.mark.skipif(not (DATA / "euroc").is_dir(), reason=f"no recordings in {DATA}")
 def test_one_second_of_a_real_imu_stays_close_to_the_truth():
-    imu_rows = np.loadtxt(DATA / "euroc" / "V1_02_medium_imu.csv", delimiter=",", skiprows=1, max_rows=4000)
-    rows = np.loadtxt(DATA / "euroc" / "V1_02_medium_truth.csv", delimiter=",", skiprows=1, max_rows=3500)
+    imu_rows = np.loadtxt(
+        DATA / "euroc" / "V1_02_medium_imu.csv", delimiter=",", skiprows=1, max_rows=4000
+    )
+    rows = np.loadtxt(
+        DATA / "euroc" / "V1_02_medium_truth.csv", delimiter=",", skiprows=1, max_rows=3500
+    )
     imu = ImuReading(_us(imu_rows[:, 0]), imu_rows[:, 1:4].copy(), imu_rows[:, 4:7].copy())
     errors = []
     for a, b in zip(rows[:-200:100], rows[200::100], strict=True):
         start = NavState(a[1:4], quat_normalize(a[4:8]), a[8:11], a[11:14], a[14:17])
         first, last = int(_us(a[:1])[0]), int(_us(b[:1])[0])
-        end, _, Q = advance(
-            start, segments(since(imu, first), first, last), NOISE.densities()
-        )
+        end, _, Q = advance(start, segments(since(imu, first), first, last), NOISE.densities())
         turn = quat_log(quat_mul(quat_conj(b[4:8]), end.q_WI))
         errors.append([np.linalg.norm(e) for e in (end.p_WI - b[1:4], end.v_WI - b[8:11], turn)])
         assert np.all(np.linalg.eigvalsh(Q) >= -1e-15)

@@ -42,9 +42,7 @@ def test_right_jacobian_is_the_derivative_of_exp(scale):
     phi = scale * np.array([0.6, -0.64, 0.48])
     J, h = np.empty((3, 3)), 1e-6
     right_jacobian(phi, J)
-    columns = [
-        so3_log(so3_exp(phi - d).T @ so3_exp(phi + d)) / (2.0 * h) for d in h * np.eye(3)
-    ]
+    columns = [so3_log(so3_exp(phi - d).T @ so3_exp(phi + d)) / (2.0 * h) for d in h * np.eye(3)]
     np.testing.assert_allclose(J, np.array(columns).T, atol=1e-8)
 
 
@@ -72,7 +70,9 @@ def test_noise_is_that_of_many_noisy_runs(case):
         errors.append(difference(run(x, R_WI, noisy), clean)[:9])
     # Biases walk besides; over so short a time they add nothing to p, R and v that shows here.
     sampled, sigma = np.cov(np.array(errors).T), np.sqrt(np.diag(Q)[:9])
-    np.testing.assert_allclose(sampled / np.outer(sigma, sigma), Q[:9, :9] / np.outer(sigma, sigma), atol=0.08)
+    np.testing.assert_allclose(
+        sampled / np.outer(sigma, sigma), Q[:9, :9] / np.outer(sigma, sigma), atol=0.08
+    )
 
 
 def test_white_noise_adds_up_as_the_closed_forms_say():
@@ -99,7 +99,7 @@ def test_a_body_that_feels_nothing_falls():
 
 def test_biases_are_taken_off():
     bias = np.array([0.1, -0.2, 0.3, 0.4, -0.5, 0.6])
-    samples = np.hstack([np.full((100, 1), 0.01), np.tile(bias, (100, 1)) + [0, 0, 0, 0, 0, 9.81]])
+    samples = np.hstack([np.full((100, 1), 0.01), np.tile(bias + np.eye(6)[5] * 9.81, (100, 1))])
     x, R_WI, _, _ = run(np.concatenate([np.zeros(6), bias]), np.eye(3), samples)
     np.testing.assert_allclose(x[:6], 0.0, atol=1e-12)
     np.testing.assert_allclose(R_WI, np.eye(3), atol=1e-14)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Triangulation, structure from motion, alignment with the IMU, start in motion."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from simulated_tracks import ACCEL_BIAS, GYRO_BIAS, Flight, motion, rig_of, simulate
@@ -64,9 +66,10 @@ def test_triangulation_is_least_squares_in_the_image():
 
 def test_parallel_bearings_and_points_behind_are_told():
     R_WC, p_WC = np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 0], [0.5, 0, 0]])
-    assert locate(R_WC, p_WC, np.zeros((2, 2))).depth_m <= 0.0 or not np.isfinite(
-        locate(R_WC, p_WC, np.zeros((2, 2))).p_WP
-    ).all()
+    assert (
+        locate(R_WC, p_WC, np.zeros((2, 2))).depth_m <= 0.0
+        or not np.isfinite(locate(R_WC, p_WC, np.zeros((2, 2))).p_WP).all()
+    )
     crossed = locate(R_WC, p_WC, np.array([[-0.1, 0.0], [0.1, 0.0]]))
     assert not crossed.depth_m > 0.0 or crossed.error > 0.05
 
@@ -103,16 +106,14 @@ def test_no_structure_without_motion():
 
 def test_exact_poses_and_motions_give_exact_scale_gravity_velocity_and_bias():
     flight = Flight(still_s=0.0, duration_s=4.0, seed=5)
-    exact = Flight(
-        still_s=0.0, duration_s=4.0, seed=5, gyro_rad_s_rthz=0.0, accel_mps2_rthz=0.0
-    )
+    exact = Flight(still_s=0.0, duration_s=4.0, seed=5, gyro_rad_s_rthz=0.0, accel_mps2_rthz=0.0)
     flown, pose = simulate(exact), motion(flight)
     R_IC, p_IC = flown.recording.rig.R_IC[0], flown.recording.rig.p_IC[0]
     stamps = 150_000 * np.arange(6, 22)
     p_WI, R_WI = pose(stamps / 1e6)
     turn = so3_exp(np.array([1.0, -0.5, 2.0]))  # poses in tilted axes, a third of their size
     R_SI, p_SC = turn @ R_WI, (p_WI + R_WI @ p_IC) @ turn.T / 3.0
-    pairs = [segments(flown.recording.imu, int(a), int(b)) for a, b in zip(stamps, stamps[1:])]
+    pairs = [segments(flown.recording.imu, int(a), int(b)) for a, b in pairwise(stamps)]
     bias = np.zeros(3)
     for _ in range(3):
         motions = [preintegrate(s, bias, ACCEL_BIAS, QUIET.densities()) for s in pairs]
@@ -146,7 +147,12 @@ def test_a_moving_vehicle_finds_speed_tilt_and_bias(seed):
         k += 5
         intake = Intake(3.0, flown.recording.imu, tuple(frames[k - 44 : k + 1]), True)
         found = moving_start(
-            MovingStart(), Standing(), intake, StartPose(), flown.recording.rig, QUIET,
+            MovingStart(),
+            Standing(),
+            intake,
+            StartPose(),
+            flown.recording.rig,
+            QUIET,
             flown.recording.sigma,
         )
     state, P = found

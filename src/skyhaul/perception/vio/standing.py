@@ -20,7 +20,7 @@ class Standing(Params):
 
     window_s: float = 0.5
     """Time over which nothing may have moved [s]."""
-    flow: float = 0.002
+    flow: float = 0.0015
     """Motion from the first half of that time to the second that counts as none, in the
     normalised image."""
     share: float = 0.4
@@ -33,7 +33,7 @@ class Standing(Params):
     """Without tracks: largest standard deviation of the specific force [m/s^2]."""
     init_s: float = 1.0
     """Time to stand before gravity and biases are taken [s]."""
-    speed_sigma_mps: float = 0.02
+    speed_sigma_mps: float = 0.05
     """Standard deviation of the speed of a vehicle that stands [m/s]."""
     force_sigma_mps2: float = 0.05
     """Standard deviation of the mean force over `init_s`, vibration included [m/s^2]."""

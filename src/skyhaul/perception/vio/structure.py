@@ -14,7 +14,13 @@ import numpy as np
 
 from skyhaul.perception.vio.api import CameraRig, TrackFrame
 from skyhaul.perception.vio.factors import adjust_bundle
-from skyhaul.perception.vio.pose_update import Sights, TukeyPose, bearing_sigma, bearings, update_pose
+from skyhaul.perception.vio.pose_update import (
+    Sights,
+    TukeyPose,
+    bearing_sigma,
+    bearings,
+    update_pose,
+)
 from skyhaul.perception.vio.triangulation import locate
 from skyhaul.types import Array, IntArray, frozen
 

@@ -31,7 +31,13 @@ from skyhaul.perception.vio.factors import (
     state_prior,
 )
 from skyhaul.perception.vio.imu import ImuNoise, advance
-from skyhaul.perception.vio.pose_update import Sights, TukeyPose, bearing_sigma, bearings, update_pose
+from skyhaul.perception.vio.pose_update import (
+    Sights,
+    TukeyPose,
+    bearing_sigma,
+    bearings,
+    update_pose,
+)
 from skyhaul.perception.vio.triangulation import locate
 from skyhaul.types import Array, Mask, TimeUs
 
