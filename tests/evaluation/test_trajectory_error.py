@@ -9,6 +9,7 @@ from skyhaul.evaluation.trajectory_error import (
     align,
     match,
     pose_nees,
+    position_nees,
     trajectory_error,
 )
 from skyhaul.evaluation.trajectory_file import read_trajectory, write_tum
@@ -134,6 +135,8 @@ def test_nees_of_errors_drawn_from_the_covariance_is_six():
     nees = pose_nees(pairs(ours, truth), np.tile(np.diag(sigma**2), (n, 1, 1)))
     assert np.mean(nees) == pytest.approx(6.0, abs=0.2)
     assert np.mean(nees < 12.59) == pytest.approx(0.95, abs=0.01)
+    place = position_nees(pairs(ours, truth), np.tile(np.diag(sigma**2), (n, 1, 1)))
+    assert np.mean(place) == pytest.approx(3.0, abs=0.15)
 
 
 def test_shapes_and_times_are_checked():

@@ -167,13 +167,26 @@ def pose_nees(matched: Matched, covariance: Array) -> Array:
         matched: The pairs.
         covariance: Of the estimate's error (p, R), (m, 6, 6).
     """
+    return _squared(_errors(matched), covariance)
+
+
+def position_nees(matched: Matched, covariance: Array) -> Array:
+    """The same for the position alone: 3 on average; for truths whose attitude is in doubt."""
+    return _squared(_errors(matched)[:, :3], covariance[:, :3, :3])
+
+
+def _errors(matched: Matched) -> Array:
+    """Errors (p, R) of the estimate with the truth laid onto its first pose, (m, 6)."""
     estimate, truth = matched.estimate, matched.truth
     R_hat, R = quat_to_R(estimate.q), quat_to_R(truth.q)
     first = R_hat[0] @ R[0].T
     heading = rotation_z(math.atan2(first[1, 0] - first[0, 1], first[0, 0] + first[1, 1]))
     p = (truth.p - truth.p[0]) @ heading.T + estimate.p[0]
     turn = so3_log(np.swapaxes(R_hat, 1, 2) @ (heading @ R))
-    error = np.hstack([p - estimate.p, turn])
+    return np.hstack([p - estimate.p, turn])
+
+
+def _squared(error: Array, covariance: Array) -> Array:
     scaled = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
     nees: Array = np.einsum("ni,ni->n", error, scaled)
     return nees
