@@ -122,7 +122,10 @@ def _add_run(run: argparse.ArgumentParser) -> None:
 
 def _add_vio(vio: argparse.ArgumentParser) -> None:
     vio.add_argument(
-        "dataset", metavar="DATASET", type=Path, help="feature-track CSV (docs/vio.md)"
+        "dataset",
+        metavar="DATASET",
+        type=Path,
+        help="EuRoC folder or feature-track CSV (docs/vio.md)",
     )
     vio.add_argument("--truth", type=Path, metavar="FILE", help="true trajectory: EuRoC or TUM")
     vio.add_argument("--out", type=Path, metavar="FILE", help="write the trajectory as TUM text")

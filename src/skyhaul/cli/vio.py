@@ -20,6 +20,8 @@ from skyhaul.evaluation.trajectory_error import (
 from skyhaul.evaluation.trajectory_file import read_trajectory, write_tum
 from skyhaul.perception.vio.api import Memory, StartPose, VioEstimate, VioEstimator, VioStatus
 from skyhaul.perception.vio.ekf import EkfVio
+from skyhaul.perception.vio.euroc import read_euroc
+from skyhaul.perception.vio.front_end import FrontEnd
 from skyhaul.perception.vio.recording import Recording
 from skyhaul.perception.vio.smoother import SmootherVio
 from skyhaul.perception.vio.track_file import read_track_file
@@ -69,9 +71,9 @@ def open_recording(path: Path, sigma_px: float) -> Recording:
         FileError: When there is nothing, or nothing that we can read.
     """
     if not path.exists():
-        raise FileError(f"{path}: does not exist; give a feature-track CSV")
+        raise FileError(f"{path}: does not exist; give a feature-track CSV or an EuRoC folder")
     if path.is_dir():
-        raise FileError(f"{path}: is a folder; give a feature-track CSV")
+        return read_euroc(path, sigma_px, FrontEnd())
     return read_track_file(path, sigma_px)
 
 

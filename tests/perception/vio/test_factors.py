@@ -41,7 +41,9 @@ def covariance_of(seed):
 def samples(k):
     t = 5_000 * np.arange(21)
     rng = np.random.default_rng(k)
-    imu = ImuReading(t, 0.3 * rng.normal(size=(21, 3)), rng.normal(size=(21, 3)) + np.array([0, 0, 9.8]))
+    imu = ImuReading(
+        t, 0.3 * rng.normal(size=(21, 3)), rng.normal(size=(21, 3)) + np.array([0, 0, 9.8])
+    )
     return segments(imu, 0, 100_000)
 
 
