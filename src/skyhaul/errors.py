@@ -20,3 +20,7 @@ class GeometryError(SkyhaulError):
 
 class PlatformError(SkyhaulError):
     """This machine lacks something that the command needs."""
+
+
+class SensorDataError(SkyhaulError):
+    """Measurements are nonsense: their order, rate, unit or axes."""

@@ -32,6 +32,8 @@ PACKAGES = [
     "h5py",
     "pyarrow",
     "plotly",
+    "gtsam",
+    "opencv-contrib-python-headless",
     "av",
     "matplotlib",
 ]

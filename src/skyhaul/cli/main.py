@@ -64,6 +64,7 @@ def parser() -> argparse.ArgumentParser:
         "doctor", parents=[shared], help="what this machine has and what a team can bear"
     )
     doctor.add_argument("scenario", metavar="SCENARIO", nargs="?", help="name or YAML file")
+    _add_vio(commands.add_parser("vio", parents=[shared], help="track a recorded flight"))
     return top
 
 
@@ -90,6 +91,12 @@ def command(name: str) -> Callable[[argparse.Namespace], int]:
             from skyhaul.cli.config import config
 
             return config
+        case "vio":
+            # Its matrices are small: more threads of BLAS would only wait for each other.
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+            from skyhaul.cli.vio import vio
+
+            return vio
         case _:
             from skyhaul.cli.doctor import doctor
 
@@ -134,6 +141,37 @@ def _add_record(record: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_vio(vio: argparse.ArgumentParser) -> None:
+    vio.add_argument(
+        "dataset",
+        metavar="DATASET",
+        type=Path,
+        help="EuRoC folder or feature-track CSV (docs/vio.md)",
+    )
+    vio.add_argument("--truth", type=Path, metavar="FILE", help="true trajectory: EuRoC or TUM")
+    vio.add_argument("--out", type=Path, metavar="FILE", help="write the trajectory as TUM text")
+    vio.add_argument("--json", action="store_true", help="print the figures as JSON")
+    vio.add_argument(
+        "--kind",
+        choices=("smoother", "ekf"),
+        default="smoother",
+        help="estimator (default: smoother)",
+    )
+    vio.add_argument(
+        "--align",
+        choices=("se3", "sim3", "none"),
+        default="se3",
+        help="how the estimate is laid onto the truth for the ATE (default: se3)",
+    )
+    vio.add_argument(
+        "--sigma-px",
+        type=_positive,
+        default=1.2,
+        metavar="PX",
+        help="standard deviation of a track (default: 1.2 px)",
+    )
+
+
 def _add_scenario(to: argparse.ArgumentParser) -> None:
     to.add_argument("scenario", metavar="SCENARIO", help="name or YAML file")
     to.add_argument(
@@ -159,6 +197,13 @@ def _workers(text: str) -> int:
     if workers < 1:
         raise argparse.ArgumentTypeError(f"at least 1 process works, got {workers}")
     return workers
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be > 0, got {value}")
+    return value
 
 
 def _version() -> str:

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The first state: from gravity while the vehicle stands, or from structure while it moves."""
+
+from dataclasses import dataclass, field
+
+from skyhaul.params import Params
+from skyhaul.perception.vio.api import CameraRig, NavState, StartPose
+from skyhaul.perception.vio.imu import ImuNoise, since
+from skyhaul.perception.vio.intake import Intake
+from skyhaul.perception.vio.moving_start import MovingStart, moving_start
+from skyhaul.perception.vio.standing import Standing, stands, static_start
+from skyhaul.types import US_PER_S, Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beginning(Params):
+    """How the first state is found."""
+
+    standing: Standing = field(default_factory=Standing)
+    """When a vehicle counts as standing."""
+    moving: MovingStart = field(default_factory=MovingStart)
+    """How a vehicle that already moves begins."""
+    keep_s: float = 3.0
+    """Frames and samples that are kept [s]."""
+
+    def __post_init__(self) -> None:
+        least_s = max(2.0, 1.1 * self.moving.span_s, 1.1 * self.standing.init_s)
+        if not self.keep_s >= least_s:
+            raise ValueError(f"keep_s must be >= {least_s:g}, got {self.keep_s}")
+
+
+def begin(
+    params: Beginning,
+    intake: Intake,
+    start: StartPose,
+    rig: CameraRig,
+    noise: ImuNoise,
+    sigma: float,
+) -> tuple[NavState, Array] | None:
+    """State and covariance now, or None while they cannot be known yet."""
+    if not intake.checked:
+        return None
+    standing = params.standing
+    if stands(standing, intake.frames, intake.imu, standing.init_s):
+        begin_us = intake.now_us - round(standing.init_s * US_PER_S)
+        return static_start(standing, since(intake.imu, begin_us), start)
+    if not _attempt_due(params, intake) or stands(
+        standing, intake.frames, intake.imu, standing.window_s
+    ):
+        return None
+    return moving_start(params.moving, standing, intake, start, rig, noise, sigma)
+
+
+def _attempt_due(params: Beginning, intake: Intake) -> bool:
+    """Whether a multiple of `retry_s` passed since the frame before."""
+    if len(intake.frames) < 2:
+        return False
+    every = round(params.moving.retry_s * US_PER_S)
+    return intake.now_us // every != intake.frames[-2].stamp_us // every

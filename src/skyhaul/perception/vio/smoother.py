@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`kind: smoother`: all states and landmarks of the last seconds, solved together in GTSAM."""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from skyhaul.params import Params
+from skyhaul.perception.vio.api import (
+    NE,
+    CameraRig,
+    NavState,
+    StartPose,
+    TrackFrame,
+    VioEstimate,
+    VioStatus,
+)
+from skyhaul.perception.vio.beginning import Beginning, begin
+from skyhaul.perception.vio.imu import ImuNoise, advance, segments
+from skyhaul.perception.vio.intake import Intake
+from skyhaul.perception.vio.pose_update import TukeyPose
+from skyhaul.perception.vio.standing import stands
+from skyhaul.perception.vio.window import Setting, Window, WindowParams, add_keyframe, open_window
+from skyhaul.sensors.api import ImuReading
+from skyhaul.types import US_PER_S, Array, TimeUs
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmootherVio(Params):
+    """Fixed-lag smoother over keyframes: IMU, landmarks, Tukey."""
+
+    kind: Literal["smoother"] = "smoother"
+    keyframe_s: float = 0.1
+    """Time between keyframes [s]."""
+    lost_s: float = 1.0
+    """Without landmarks for this long the status is LOST [s]."""
+    least_landmarks: int = 4
+    """Landmarks that must agree for a keyframe to count as seen."""
+    window: WindowParams = field(default_factory=WindowParams)
+    """The window and its landmarks."""
+    pose: TukeyPose = field(default_factory=TukeyPose)
+    """The pose update that sorts sights out before they enter the window."""
+    beginning: Beginning = field(default_factory=Beginning)
+    """How the first state is found."""
+    noise: ImuNoise = field(default_factory=ImuNoise)
+    """Noise of the IMU."""
+
+    def __post_init__(self) -> None:
+        for name in ("keyframe_s", "lost_s"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
+        if self.least_landmarks < 1:
+            raise ValueError(f"least_landmarks must be >= 1, got {self.least_landmarks}")
+
+    def build(self, rig: CameraRig, sigma: float) -> "SmootherEstimator":
+        """The estimator of a rig.
+
+        Args:
+            rig: The cameras.
+            sigma: Standard deviation of a track in the normalised image, per axis.
+        """
+        return SmootherEstimator(self, rig, sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class SmootherMemory:
+    """What the smoother remembers."""
+
+    start: StartPose
+    intake: Intake
+    window: Window | None = None
+    seen_us: TimeUs = 0  # last keyframe with enough landmarks
+
+
+@dataclass(frozen=True, eq=False)
+class SmootherEstimator:
+    """Implements `VioEstimator`."""
+
+    params: SmootherVio
+    rig: CameraRig
+    sigma: float
+
+    def init(self, start: StartPose) -> SmootherMemory:
+        """See `VioEstimator.init`."""
+        return SmootherMemory(start, Intake(self.params.beginning.keep_s))
+
+    def step(
+        self, memory: SmootherMemory, imu: ImuReading, tracks: TrackFrame
+    ) -> tuple[SmootherMemory, VioEstimate]:
+        """See `VioEstimator.step`."""
+        memory = replace(memory, intake=memory.intake.take(imu, tracks))
+        if memory.window is None:
+            return self._begin(memory)
+        window, now = memory.window, tracks.stamp_us
+        samples = segments(memory.intake.imu, window.stamp_us, now)
+        due_us = window.stamp_us + round(0.99 * self.params.keyframe_s * US_PER_S)
+        if now < due_us:
+            state, Phi, Q = advance(window.state, samples, self.params.noise.densities())
+            covariance = Phi @ window.covariance @ Phi.T + Q
+            return memory, self._estimate(memory, state, covariance)
+        standing = self.params.beginning.standing
+        rests = stands(standing, memory.intake.frames, memory.intake.imu, standing.window_s)
+        window = add_keyframe(self.setting(), window, samples, tracks, rests)
+        seen = window.used >= self.params.least_landmarks or rests
+        memory = replace(memory, window=window, seen_us=now if seen else memory.seen_us)
+        return memory, self._estimate(memory, window.state, window.covariance)
+
+    def setting(self) -> Setting:
+        """What the window needs to know."""
+        p = self.params
+        speed = p.beginning.standing.speed_sigma_mps
+        return Setting(self.rig, self.sigma, p.noise, p.pose, p.window, speed)
+
+    def _begin(self, memory: SmootherMemory) -> tuple[SmootherMemory, VioEstimate]:
+        now = memory.intake.now_us
+        first = begin(
+            self.params.beginning,
+            memory.intake,
+            memory.start,
+            self.rig,
+            self.params.noise,
+            self.sigma,
+        )
+        if first is None:
+            none = VioEstimate(now, VioStatus.INITIALIZING, None, np.zeros((NE, NE)), 0, 0)
+            return memory, none
+        window = open_window(now, first, memory.intake.frames[-1])
+        memory = replace(memory, window=window, seen_us=now)
+        return memory, self._estimate(memory, window.state, window.covariance)
+
+    def _estimate(self, memory: SmootherMemory, state: NavState, covariance: Array) -> VioEstimate:
+        now, window = memory.intake.now_us, memory.window
+        assert window is not None
+        lost = now - memory.seen_us > round(self.params.lost_s * US_PER_S)
+        status = VioStatus.LOST if lost else VioStatus.TRACKING
+        return VioEstimate(now, status, state, covariance, window.used, window.rejected)

@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The smoother's window: keyframes, the tracks they see, the factors between them.
+
+A window is never changed: each function returns a new one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, L, V, X
+
+from skyhaul.geometry.quaternion import quat_to_R
+from skyhaul.params import Params
+from skyhaul.perception.vio.api import CameraRig, NavState, TrackFrame
+from skyhaul.perception.vio.factors import (
+    Robust,
+    camera_poses,
+    imu_factor,
+    imu_parameters,
+    insert_state,
+    marginalize,
+    optimize,
+    point_prior,
+    sight_factor,
+    sight_noise,
+    speed_prior,
+    state_in,
+    state_prior,
+)
+from skyhaul.perception.vio.imu import ImuNoise, advance
+from skyhaul.perception.vio.pose_update import (
+    Sights,
+    TukeyPose,
+    bearing_sigma,
+    bearings,
+    update_pose,
+)
+from skyhaul.perception.vio.triangulation import locate
+from skyhaul.types import Array, Mask, TimeUs
+
+NO_LANDMARK = -1
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindowParams(Params):
+    """The window and its landmarks."""
+
+    keyframes: int = 15
+    """Keyframes that are solved together."""
+    iterations: int = 2
+    """Gauss-Newton steps at a keyframe."""
+    robust: Robust = "tukey"
+    """M-setting of the sights."""
+    least_sights: int = 3
+    """Keyframes that must have seen a track before it becomes a landmark."""
+    parallax_rad: float = 0.03
+    """Angle between two of its bearings that a landmark needs [rad]."""
+    fit: float = 2.5
+    """RMS error that a new landmark's sights may have, in standard deviations."""
+    depth_m: tuple[float, float] = (0.2, 50.0)
+    """Depths at which landmarks may lie [m]."""
+    misses: int = 2
+    """A track that disagrees this often in a row is taken for another point."""
+
+    def __post_init__(self) -> None:
+        for name in ("keyframes", "iterations", "least_sights", "misses"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be >= 1, got {getattr(self, name)}")
+        if not 0.0 < self.depth_m[0] < self.depth_m[1]:
+            raise ValueError(f"depth_m must be two growing depths > 0, got {self.depth_m}")
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What the window needs to know of the vehicle and of the estimator."""
+
+    rig: CameraRig
+    sigma: float  # standard deviation of a track in the normalised image
+    noise: ImuNoise
+    pose: TukeyPose
+    params: WindowParams
+    speed_sigma_mps: float  # of a vehicle that stands
+
+
+class Sight(NamedTuple):
+    """A track in a keyframe."""
+
+    k: int
+    xy: Array  # (2,)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A track that the last keyframe saw."""
+
+    camera: int
+    sights: tuple[Sight, ...]  # in keyframes of the window
+    landmark: int = NO_LANDMARK  # key of its point
+    misses: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Everything between the oldest and the newest keyframe."""
+
+    newest: int
+    oldest: int
+    stamp_us: TimeUs  # of the newest
+    state: NavState  # at the newest
+    covariance: Array  # (15, 15)
+    values: gtsam.Values
+    factors: tuple[gtsam.NonlinearFactor, ...]
+    tracks: Mapping[int, Track]
+    landmarks: Mapping[int, int]  # key -> last keyframe that saw it
+    next_landmark: int = 0
+    used: int = 0
+    rejected: int = 0
+    rebuilt: int = 0  # how often the window turned out singular
+
+
+def open_window(now: TimeUs, first: tuple[NavState, Array], tracks: TrackFrame) -> Window:
+    """A window of one keyframe whose state is known with a covariance."""
+    state, covariance = first
+    values = gtsam.Values()
+    insert_state(values, 0, state)
+    return Window(
+        newest=0,
+        oldest=0,
+        stamp_us=now,
+        state=state,
+        covariance=covariance,
+        values=values,
+        factors=(state_prior(0, state, covariance),),
+        tracks={
+            int(i): Track(int(c), (Sight(0, xy),))
+            for i, c, xy in zip(tracks.track_id, tracks.camera, tracks.xy, strict=True)
+        },
+        landmarks={},
+    )
+
+
+def add_keyframe(
+    setting: Setting, window: Window, samples: Array, frame: TrackFrame, rests: bool
+) -> Window:
+    """The window with a new keyframe, solved; a singular one is built anew from the prediction."""
+    predicted, Phi, Q = advance(window.state, samples, setting.noise.densities())
+    covariance = Phi @ window.covariance @ Phi.T + Q
+    agrees, known = _agreeing(setting, window, frame, predicted, covariance)
+    grown = _grow(setting, window, samples, frame, predicted)
+    grown = _see(setting, grown, frame, agrees, known)
+    if rests:
+        speed = setting.speed_sigma_mps
+        grown = replace(grown, factors=(*grown.factors, speed_prior(grown.newest, speed)))
+    grown = replace(grown, stamp_us=frame.stamp_us)
+    try:
+        return _solve(setting, _add_landmarks(setting, grown))
+    except RuntimeError:
+        fresh = open_window(frame.stamp_us, (predicted, covariance), frame)
+        return replace(fresh, rebuilt=window.rebuilt + 1)
+
+
+def _agreeing(
+    setting: Setting,
+    window: Window,
+    frame: TrackFrame,
+    predicted: NavState,
+    covariance: Array,
+) -> tuple[Mask, Mask]:
+    """Which tracks agree with the landmarks and the predicted pose, and which have a landmark."""
+    tracks = [window.tracks.get(int(i)) for i in frame.track_id]
+    keys = [NO_LANDMARK if t is None else t.landmark for t in tracks]
+    known = np.array([key != NO_LANDMARK for key in keys], dtype=np.bool_)
+    agrees = np.ones(len(keys), dtype=np.bool_)
+    if not known.any():
+        return agrees, known
+    points = np.array([window.values.atPoint3(key) for key in keys if key != NO_LANDMARK])
+    sights = Sights(
+        points,
+        bearings(frame.xy[known]),
+        frame.camera[known],
+        bearing_sigma(frame.xy[known], setting.sigma),
+    )
+    guess = (predicted.p_WI, quat_to_R(predicted.q_WI))
+    prior = np.asarray(np.linalg.inv(covariance[:6, :6]), dtype=np.float64)
+    fix = update_pose(setting.pose, setting.rig, guess, sights, prior)
+    agrees[known] = fix.inlier
+    return agrees, known
+
+
+def _grow(
+    setting: Setting,
+    window: Window,
+    samples: Array,
+    frame: TrackFrame,
+    predicted: NavState,
+) -> Window:
+    k = window.newest + 1
+    values = gtsam.Values(window.values)
+    insert_state(values, k, predicted)
+    imu = imu_factor(imu_parameters(setting.noise), k - 1, k, samples, window.state)
+    return replace(window, newest=k, values=values, factors=(*window.factors, imu))
+
+
+def _see(setting: Setting, window: Window, frame: TrackFrame, agrees: Mask, known: Mask) -> Window:
+    """Take the sights of the new keyframe in."""
+    params, k = setting.params, window.newest
+    noise = sight_noise(params.robust, setting.sigma)
+    T_IC = camera_poses(setting.rig)
+    factors, tracks, landmarks = list(window.factors), {}, dict(window.landmarks)
+    for row, track_id in enumerate(frame.track_id.tolist()):
+        camera, sight = int(frame.camera[row]), Sight(k, frame.xy[row])
+        track = window.tracks.get(track_id)
+        if track is None:
+            tracks[track_id] = Track(camera, (sight,))
+        elif agrees[row]:
+            tracks[track_id] = replace(track, sights=(*track.sights, sight), misses=0)
+            if known[row]:
+                landmarks[track.landmark] = k
+                factors.append(sight_factor(sight.xy, noise, k, track.landmark, T_IC[camera]))
+        elif track.misses + 1 < params.misses:
+            tracks[track_id] = replace(track, misses=track.misses + 1)
+        else:
+            tracks[track_id] = Track(camera, (sight,))
+    used = int(np.count_nonzero(agrees & known))
+    rejected = int(np.count_nonzero(~agrees))
+    return replace(
+        window,
+        factors=tuple(factors),
+        tracks=tracks,
+        landmarks=landmarks,
+        used=used,
+        rejected=rejected,
+    )
+
+
+def _add_landmarks(setting: Setting, window: Window) -> Window:
+    """Tracks seen from far enough apart become landmarks."""
+    params, rig = setting.params, setting.rig
+    noise, T_IC = sight_noise(params.robust, setting.sigma), camera_poses(rig)
+    values, factors = gtsam.Values(window.values), list(window.factors)
+    tracks, landmarks = dict(window.tracks), dict(window.landmarks)
+    poses = {k: values.atPose3(X(k)) for k in range(window.oldest, window.newest + 1)}
+    R_WI = {k: pose.rotation().matrix() for k, pose in poses.items()}
+    p_WI = {k: pose.translation() for k, pose in poses.items()}
+    following = window.next_landmark
+    for track_id, track in window.tracks.items():
+        if track.landmark != NO_LANDMARK or len(track.sights) < params.least_sights:
+            continue
+        ks = [s.k for s in track.sights]
+        R_WC = np.array([R_WI[k] @ rig.R_IC[track.camera] for k in ks])
+        p_WC = np.array([p_WI[k] + R_WI[k] @ rig.p_IC[track.camera] for k in ks])
+        point = locate(R_WC, p_WC, np.array([s.xy for s in track.sights]))
+        if point.parallax_rad < params.parallax_rad:
+            continue
+        if not params.depth_m[0] < point.depth_m < params.depth_m[1]:
+            continue
+        if point.error > params.fit * np.sqrt(2.0) * setting.sigma:
+            continue
+        key = L(following)
+        following += 1
+        values.insert(key, point.p_WP)
+        factors.append(point_prior(key, point.p_WP))
+        factors += [sight_factor(s.xy, noise, s.k, key, T_IC[track.camera]) for s in track.sights]
+        tracks[track_id] = replace(track, landmark=key)
+        landmarks[key] = window.newest
+    return replace(
+        window,
+        values=values,
+        factors=tuple(factors),
+        tracks=tracks,
+        landmarks=landmarks,
+        next_landmark=following,
+    )
+
+
+def _solve(setting: Setting, window: Window) -> Window:
+    """Solve, then take out what is older than the window.
+
+    Raises:
+        RuntimeError: When the window is singular.
+    """
+    params = setting.params
+    k = window.newest
+    values, covariance = optimize(window.factors, window.values, k, params.iterations)
+    window = replace(window, values=values, state=state_in(values, k), covariance=covariance)
+    while window.newest - window.oldest >= params.keyframes:
+        window = _forget_oldest(window)
+    return window
+
+
+def _forget_oldest(window: Window) -> Window:
+    k = window.oldest
+    gone_points = [key for key, last in window.landmarks.items() if last <= k]
+    gone = [X(k), V(k), B(k), *gone_points]
+    factors = marginalize(window.factors, window.values, gone)
+    values = gtsam.Values(window.values)
+    for key in gone:
+        values.erase(key)
+    tracks = {
+        i: replace(
+            t,
+            sights=tuple(s for s in t.sights if s.k > k),
+            landmark=NO_LANDMARK if t.landmark in gone_points else t.landmark,
+        )
+        for i, t in window.tracks.items()
+    }
+    landmarks = {key: last for key, last in window.landmarks.items() if last > k}
+    return replace(
+        window, oldest=k + 1, factors=factors, values=values, tracks=tracks, landmarks=landmarks
+    )

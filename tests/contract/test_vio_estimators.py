@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every visual-inertial estimator must do. A new one adds one entry to ESTIMATORS."""
+
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from simulated_tracks import GYRO_BIAS, Flight, simulate
+
+from skyhaul.errors import SensorDataError
+from skyhaul.evaluation.trajectory_error import Trajectory, match, pose_nees, trajectory_error
+from skyhaul.perception.vio.api import StartPose, TrackFrame, VioStatus
+from skyhaul.perception.vio.ekf import EkfVio
+from skyhaul.perception.vio.smoother import SmootherVio
+
+ESTIMATORS = [SmootherVio(), EkfVio()]
+
+every_estimator = pytest.mark.parametrize("kind", ESTIMATORS, ids=lambda e: e.kind)
+
+PLAIN = Flight(duration_s=9.0, still_s=1.5, pace=1.3)
+FOUR = Flight(duration_s=5.0, still_s=1.5, cameras=4, tracks=10, pace=1.3)
+
+
+@cache
+def flown(flight):
+    return simulate(flight)
+
+
+def blind(frame):
+    return TrackFrame(frame.stamp_us, frame.track_id[:0], frame.camera[:0], frame.xy[:0])
+
+
+@cache
+def follow(kind, flight, dark=(0.0, 0.0), start=None):
+    """Estimates of a flight whose cameras see nothing in an interval [s], and their memories."""
+    recording = flown(flight).recording
+    estimator = kind.build(recording.rig, recording.sigma)
+    memory, out = estimator.init(start or StartPose()), []
+    for imu, frame in recording.readings():
+        hidden = dark[0] <= frame.stamp_us / 1e6 < dark[1]
+        memory, estimate = estimator.step(memory, imu, blind(frame) if hidden else frame)
+        out.append(estimate)
+    return out, memory
+
+
+def known(estimates):
+    return [e for e in estimates if e.state is not None]
+
+
+def scored(estimates, flight):
+    states = [e.state for e in known(estimates)]
+    path = Trajectory(
+        np.array([1000 * e.stamp_us for e in known(estimates)]),
+        np.array([s.p_WI for s in states]),
+        np.array([s.q_WI for s in states]),
+    )
+    return match(path, flown(flight).truth)
+
+
+@every_estimator
+def test_there_is_no_state_before_gravity_is_known_and_one_at_every_frame_after(kind):
+    estimates, _ = follow(kind, PLAIN)
+    statuses = [e.status for e in estimates]
+    first = statuses.index(VioStatus.TRACKING)
+    assert 19 <= first <= 30
+    assert all(e.state is None and e.status is VioStatus.INITIALIZING for e in estimates[:first])
+    assert all(e.state is not None for e in estimates[first:])
+
+
+@every_estimator
+def test_stamps_are_those_of_the_frames(kind):
+    estimates, _ = follow(kind, PLAIN)
+    assert [e.stamp_us for e in estimates] == list(range(0, 9_000_001, 50_000))
+
+
+@every_estimator
+def test_it_stays_within_centimetres(kind):
+    matched = scored(follow(kind, PLAIN)[0], PLAIN)
+    error = trajectory_error(matched)
+    assert error.path_m > 3.0
+    assert error.ate_m < 0.015 * error.path_m
+    assert error.rpe_deg < 0.6
+    assert trajectory_error(matched, "sim3").scale == pytest.approx(1.0, abs=0.03)
+
+
+@every_estimator
+def test_it_finds_the_gyroscopes_bias_and_stays_on_the_start_pose(kind):
+    estimates, _ = follow(kind, PLAIN)
+    np.testing.assert_allclose(estimates[-1].state.gyro_bias, GYRO_BIAS, atol=3e-3)
+    first = known(estimates)[0].state
+    np.testing.assert_allclose(first.p_WI, 0.0, atol=5e-3)
+
+
+@every_estimator
+def test_the_error_is_within_its_covariance(kind):
+    estimates, _ = follow(kind, PLAIN)
+    matched = scored(estimates, PLAIN)
+    nees = pose_nees(matched, np.array([e.covariance[:6, :6] for e in known(estimates)]))
+    assert 1.0 < np.mean(nees) < 9.0
+
+
+@every_estimator
+def test_covariances_are_symmetric_and_positive(kind):
+    for e in known(follow(kind, PLAIN)[0])[::10]:
+        np.testing.assert_allclose(e.covariance, e.covariance.T, atol=1e-15)
+        assert np.linalg.eigvalsh(e.covariance).min() > 0.0
+        assert np.linalg.norm(e.state.q_WI) == pytest.approx(1.0, abs=1e-9)
+
+
+@every_estimator
+def test_all_cameras_are_used(kind):
+    estimates, _ = follow(kind, FOUR)
+    error = trajectory_error(scored(estimates, FOUR))
+    assert error.ate_m < 0.02 * error.path_m + 0.01
+    used = [e.used for e in estimates]
+    assert max(used) > 12  # more than one camera's ten tracks
+
+
+@every_estimator
+def test_in_the_dark_it_says_lost_its_covariance_grows_and_it_comes_back(kind):
+    dark = (5.0, 7.5)
+    estimates, _ = follow(kind, PLAIN, dark)
+    at = {round(e.stamp_us / 1e6, 2): e for e in estimates}
+    assert at[4.9].status is VioStatus.TRACKING
+    assert at[7.4].status is VioStatus.LOST
+    sigma = [np.sqrt(np.trace(at[t].covariance[:3, :3])) for t in (4.9, 6.0, 7.4)]
+    assert sigma[0] < sigma[1] < sigma[2]
+    assert sigma[2] > 3.0 * sigma[0]
+    assert at[9.0].status is VioStatus.TRACKING
+    assert all(np.isfinite(e.covariance).all() for e in estimates)
+
+
+@every_estimator
+def test_nothing_to_see_at_all_is_a_status_not_an_exception(kind):
+    estimates, _ = follow(kind, PLAIN, (1.4, 99.0))
+    assert estimates[-1].status is VioStatus.LOST
+    assert estimates[-1].state is not None
+
+
+@every_estimator
+def test_a_moving_start_needs_no_rest(kind):
+    flight = Flight(duration_s=7.0, still_s=0.0, pace=1.8, seed=3)
+    estimates, _ = follow(kind, flight)
+    assert estimates[10].status is VioStatus.INITIALIZING
+    assert estimates[-1].status is VioStatus.TRACKING
+    matched = scored(estimates, flight)
+    error = trajectory_error(matched)
+    assert error.matched > 20
+    assert error.ate_m < 0.05 * error.path_m
+    assert trajectory_error(matched, "sim3").scale == pytest.approx(1.0, abs=0.1)
+
+
+@every_estimator
+def test_steps_are_pure(kind):
+    recording = flown(PLAIN).recording
+    estimator = kind.build(recording.rig, recording.sigma)
+    memory = estimator.init(StartPose())
+    readings = list(recording.readings())
+    for imu, frame in readings[:80]:
+        memory, _ = estimator.step(memory, imu, frame)
+    a, b = (estimator.step(memory, *readings[80])[1] for _ in range(2))
+    np.testing.assert_array_equal(a.state.p_WI, b.state.p_WI)
+    np.testing.assert_array_equal(a.covariance, b.covariance)
+
+
+@every_estimator
+def test_time_must_not_go_back(kind):
+    recording = flown(PLAIN).recording
+    estimator = kind.build(recording.rig, recording.sigma)
+    memory = estimator.init(StartPose())
+    (imu, frame), *_ = recording.readings()
+    memory, _ = estimator.step(memory, imu, frame)
+    with pytest.raises(SensorDataError, match="stamps must grow"):
+        estimator.step(memory, imu, frame)
+
+
+@every_estimator
+def test_what_is_handed_on_cannot_be_written_to(kind):
+    estimate = known(follow(kind, PLAIN)[0])[-1]
+    with pytest.raises(ValueError, match="read-only"):
+        estimate.covariance[0, 0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        estimate.state.p_WI[0] = 1.0
