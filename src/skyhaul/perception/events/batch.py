@@ -40,9 +40,7 @@ def evaluate(
     last = np.zeros((rows * cols, WIDTH))
     for which in np.unique(cell[runs]):
         mine = np.flatnonzero(runs & (cell == which))
-        running, last[which] = running_maximum(
-            h[mine], period[mine], stamp_us // weights.period_us
-        )
+        running, last[which] = running_maximum(h[mine], period[mine], stamp_us // weights.period_us)
         z = _context(weights.head, running)
         head = weights.head
         logit = h[mine] @ head.event + z @ head.context + head.event_bias[0]

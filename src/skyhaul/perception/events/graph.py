@@ -203,9 +203,7 @@ def insert(
 
 
 @njit
-def _find(
-    t: int, x: int, y: int, rules: GraphRules, memory: GraphMemory, out: Neighbours
-) -> int:
+def _find(t: int, x: int, y: int, rules: GraphRules, memory: GraphMemory, out: Neighbours) -> int:
     """Neighbours of a new event, nearest pixels first, newest first in a pixel: how many."""
     height, width, depth = memory.ring.shape
     mask, total = rules.capacity - 1, memory.total[0]
@@ -261,9 +259,7 @@ def _edges(
 ) -> int:  # fmt: skip
     e = 0
     for i in range(t_us.shape[0]):
-        kind, n, row = insert(
-            t_us[i], x[i], y[i], p[i], turn_C[i], flow, rules, memory, found
-        )
+        kind, n, row = insert(t_us[i], x[i], y[i], p[i], turn_C[i], flow, rules, memory, found)
         status[i] = kind
         if kind == REFRACTORY:
             same_as[i] = memory.event[row]

@@ -177,9 +177,7 @@ def _layers(n: int, node: Float32, weights: PackedWeights, memory: NetworkMemory
 
 
 @njit
-def _scaled_sums(
-    n: int, width: int, scale: Float32, memory: NetworkMemory, sums: Float32
-) -> None:
+def _scaled_sums(n: int, width: int, scale: Float32, memory: NetworkMemory, sums: Float32) -> None:
     """Sum over neighbours of scale[offset] * h_j, for the inputs of all layers at once."""
     for c in range(width):
         sums[c] = np.float32(0.0)

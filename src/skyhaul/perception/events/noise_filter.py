@@ -101,7 +101,9 @@ def _filter(
             why[i] = FLASH
             continue
         flickers = _flickers(memory, t_us[i], x[i], y[i], p[i], shortest, longest, repeats)
-        supported = support_us == 0 or _is_supported(memory.last_us, t_us[i], x[i], y[i], support_us)
+        supported = support_us == 0 or _is_supported(
+            memory.last_us, t_us[i], x[i], y[i], support_us
+        )
         memory.last_us[y[i], x[i]] = t_us[i]
         why[i] = FLICKER if flickers else (KEPT if supported else NOISE)
 

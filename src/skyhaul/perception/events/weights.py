@@ -207,11 +207,7 @@ def load_weights(path: Path) -> NetworkWeights:
 def _weights(about: dict[str, object], arrays: dict[str, Float32]) -> NetworkWeights:
     graph = GraphParams(**about["graph"])  # type: ignore[arg-type]
     count = len({name.split(".")[1] for name in arrays if name.startswith("layers.")})
-    layers = tuple(
-        Layer(**{f.name: arrays.pop(f"layers.{i}.{f.name}")
-                 for f in fields(Layer) if f"layers.{i}.{f.name}" in arrays})
-        for i in range(count)
-    )  # fmt: skip
+    layers = tuple(_layer(arrays, f"layers.{i}.") for i in range(count))
     head = Head(**{f.name: arrays.pop(f"head.{f.name}") for f in fields(Head)})
     if arrays:
         raise ValueError(f"nothing, but have the unknown {sorted(arrays)[0]}")
@@ -221,6 +217,13 @@ def _weights(about: dict[str, object], arrays: dict[str, Float32]) -> NetworkWei
     )  # fmt: skip
     _check_shapes(made)
     return made
+
+
+def _layer(arrays: dict[str, Float32], prefix: str) -> Layer:
+    """Takes one layer's arrays out."""
+    names = ["root", "edge", "bias"]
+    names += ["table"] if prefix + "table" in arrays else ["scale", "mix"]
+    return Layer(**{name: arrays.pop(prefix + name) for name in names})
 
 
 def _check_shapes(weights: NetworkWeights) -> None:
