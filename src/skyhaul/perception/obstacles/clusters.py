@@ -41,6 +41,8 @@ class ClusterRules(Params):
     """A cluster has no fewer events than this."""
     trim: float = 0.01
     """Share of its events that a box leaves out at each side."""
+    margin: float = 0.1
+    """What a box is grown by at each side, as a share of it: its faint edges are no movers."""
     largest: float = 0.5
     """A cluster whose box is larger than this share of the image is no obstacle."""
 
@@ -50,6 +52,8 @@ class ClusterRules(Params):
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
         if self.join_cells < 0:
             raise ValueError(f"join_cells must be >= 0, got {self.join_cells}")
+        if self.margin < 0.0:
+            raise ValueError(f"margin must be >= 0, got {self.margin}")
         if not 0.0 <= self.trim < 0.5:
             raise ValueError(f"trim must lie in [0, 0.5), got {self.trim}")
 
@@ -70,7 +74,7 @@ class ClusterRules(Params):
         box = np.array(boxes, dtype=np.float64).reshape(-1, 4)[order]
         count = np.array(counts, dtype=np.int64)[order]
         middle = 0.5 * (box[:, :2] + box[:, 2:])
-        half = 0.5 * (box[:, 2:] - box[:, :2]) + 0.5
+        half = (0.5 + self.margin) * (box[:, 2:] - box[:, :2]) + 0.5
         dir_C, half_angle = directions(lens, middle, half)
         return Clusters(stamp_us, middle, half, count, dir_C, half_angle)
 
