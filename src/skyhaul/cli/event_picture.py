@@ -20,6 +20,7 @@ SCALE = 2
 RATE_HZ = 25
 SHOWN_IN_PNG = 6
 PNG_COLUMNS = 3
+GAP, BETWEEN = 3, 70
 
 
 def write_picture(folder: Path, lens: EventLens, steps: list[Watched]) -> Path:
@@ -41,7 +42,8 @@ def write_frames(path: Path, lens: EventLens, steps: list[Watched]) -> Path:
     """Some frames, evenly spread over the recording, in one PNG."""
     count = min(SHOWN_IN_PNG, len(steps))
     which = np.linspace(0, len(steps) - 1, count + 1).round().astype(int)[1:] if count > 1 else [0]
-    frames = [frame(lens, steps[i]) for i in which]
+    edge = ((GAP, GAP), (GAP, GAP), (0, 0))
+    frames = [np.pad(frame(lens, steps[i]), edge, constant_values=BETWEEN) for i in which]
     frames += [np.zeros_like(frames[0])] * (-len(frames) % PNG_COLUMNS)
     rows = [np.hstack(frames[i : i + PNG_COLUMNS]) for i in range(0, len(frames), PNG_COLUMNS)]
     path.write_bytes(png(np.ascontiguousarray(np.vstack(rows))))

@@ -24,7 +24,9 @@ def by_hand(params, lens, events, turn_C):
     ):
         here = [j for j in nodes if events.x[j] == x and events.y[j] == y]
         known = nodes[-(params.capacity - 1) :]
-        fresh = bool(here) and here[-1] in known and t - events.t_us[here[-1]] < params.refractory_us
+        fresh = (
+            bool(here) and here[-1] in known and t - events.t_us[here[-1]] < params.refractory_us
+        )
         if fresh and events.p[here[-1]] == p:
             status.append(REFRACTORY)
             continue
@@ -32,7 +34,9 @@ def by_hand(params, lens, events, turn_C):
         for k, (dx, dy) in enumerate(spiral(params.radius_px)):
             at = [j for j in nodes if events.x[j] == x + dx and events.y[j] == y + dy]
             newest = at[::-1][: params.per_pixel]
-            found += [(j, k) for j in newest if t - events.t_us[j] <= params.window_us and j in known]
+            found += [
+                (j, k) for j in newest if t - events.t_us[j] <= params.window_us and j in known
+            ]
         for j, k in found[: params.max_neighbours]:
             d = np.array([x - events.x[j], y - events.y[j]], float)
             d -= lens.turn_flow[y, x].astype(float) @ (turn_C[i] - turn_C[j])
@@ -43,7 +47,9 @@ def by_hand(params, lens, events, turn_C):
     return status, edges
 
 
-@pytest.mark.parametrize("change", [{}, {"capacity": 64}, {"refractory_us": 3_000}, {"radius_px": 1}])
+@pytest.mark.parametrize(
+    "change", [{}, {"capacity": 64}, {"refractory_us": 3_000}, {"radius_px": 1}]
+)
 def test_graph_is_what_a_search_through_all_older_events_finds(lens, stream, change):
     params = replace(PARAMS, **change)
     events, turn_C = stream

@@ -58,7 +58,7 @@ def test_a_gate_is_closed_for_what_is_behind_the_camera():
 def test_triangulation_is_exact_for_exact_rays():
     p = np.array([2.5, -1.0, 3.0])
     z = stacked([exact(c, p) for c in range(4)])
-    found, _ = triangulate(z, p + [0.3, -0.2, 0.3])
+    found, _ = triangulate(z, p + np.array([0.3, -0.2, 0.3]))
     np.testing.assert_allclose(found, p, atol=2e-3)
 
 

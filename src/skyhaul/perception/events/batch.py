@@ -13,7 +13,7 @@ from skyhaul.perception.events.graph import EVALUATED, LONELY, REFRACTORY, Event
 from skyhaul.perception.events.lens import EventLens
 from skyhaul.perception.events.weights import WIDTH, Head, Layer, NetworkWeights
 from skyhaul.sensors.api import EventReading
-from skyhaul.types import Array, TimeUs
+from skyhaul.types import Array, IntArray, TimeUs
 
 
 class BatchResult(NamedTuple):
@@ -45,8 +45,8 @@ def evaluate(
         head = weights.head
         logit = h[mine] @ head.event + z @ head.context + head.event_bias[0]
         p_mover[mine] = _sigmoid(logit)
-    for i in np.flatnonzero(graph.status == REFRACTORY):
-        p_mover[i] = p_mover[graph.same_as[i]]
+    late = np.flatnonzero(graph.status == REFRACTORY)
+    p_mover[late] = p_mover[graph.same_as[late]]
     logit = _context(weights.head, last) @ weights.head.objectness
     objectness = _sigmoid(logit + weights.head.objectness_bias[0])
     return BatchResult(h, p_mover, objectness.reshape(rows, cols))
@@ -70,7 +70,7 @@ def convolve(layer: Layer, h: Array, graph: EventGraph, *, residual: bool) -> Ar
     return h + new if residual else new
 
 
-def running_maximum(h: Array, period: Array, stamp_period: int) -> tuple[Array, Array]:
+def running_maximum(h: Array, period: IntArray, stamp_period: int) -> tuple[Array, Array]:
     """Maximum over a cell's events of this period so far and the whole period before.
 
     Args:

@@ -77,7 +77,7 @@ class GraphMemory(NamedTuple):
 
     newest_us: IntArray  # (height, width) newest node of each pixel
     ring: IntArray  # (height, width, Q) its newest nodes
-    count: IntArray  # (height, width) how many it ever had
+    fired: IntArray  # (height, width) how many it ever had
     t_us: IntArray  # (capacity,)
     p: NDArray[np.int8]  # (capacity,)
     turn_C: Array  # (capacity, 3)
@@ -134,7 +134,7 @@ def graph_memory(params: GraphParams, width: int, height: int) -> GraphMemory:
     return GraphMemory(
         newest_us=np.full((height, width), _NEVER),
         ring=np.full((height, width, params.per_pixel), -1, np.int64),
-        count=np.zeros((height, width), np.int64),
+        fired=np.zeros((height, width), np.int64),
         t_us=np.zeros(n, np.int64),
         p=np.zeros(n, np.int8),
         turn_C=np.zeros((n, 3)),
@@ -181,7 +181,7 @@ def insert(
     """
     memory.total[1] += 1
     mask, total = rules.capacity - 1, memory.total[0]
-    turns = memory.count[y, x]
+    turns = memory.fired[y, x]
     depth = memory.ring.shape[2]
     if turns > 0 and t - memory.newest_us[y, x] < rules.refractory_us:
         before = memory.ring[y, x, (turns - 1) % depth]
@@ -196,7 +196,7 @@ def insert(
         memory.turn_C[row, c] = turn[c]
     memory.event[row] = memory.total[1] - 1
     memory.ring[y, x, turns % depth] = total
-    memory.count[y, x] = turns + 1
+    memory.fired[y, x] = turns + 1
     memory.newest_us[y, x] = t
     memory.total[0] = total + 1
     return LONELY if n < rules.min_neighbours else EVALUATED, n, row
@@ -213,7 +213,7 @@ def _find(t: int, x: int, y: int, rules: GraphRules, memory: GraphMemory, out: N
         u, v = x + rules.offsets[k, 0], y + rules.offsets[k, 1]
         if u < 0 or v < 0 or u >= width or v >= height or memory.newest_us[v, u] < oldest:
             continue
-        turns = memory.count[v, u]
+        turns = memory.fired[v, u]
         for q in range(min(depth, turns)):
             node = memory.ring[v, u, (turns - 1 - q) % depth]
             if total - node > mask or memory.t_us[node & mask] < oldest:

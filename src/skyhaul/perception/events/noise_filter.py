@@ -65,11 +65,11 @@ class NoiseFilter(Params):
         low, high = self.flicker_hz
         why = np.empty(len(events.t_us), np.int8)
         limits = (
-            np.int64(self.support_us),
-            np.int64(US_PER_S / high),
-            np.int64(US_PER_S / low),
-            np.int64(self.flicker_repeats),
-            np.int64(self.flash_fraction * memory.last_us.size),
+            self.support_us,
+            int(US_PER_S / high),
+            int(US_PER_S / low),
+            self.flicker_repeats,
+            int(self.flash_fraction * memory.last_us.size),
         )
         _filter(events.t_us, events.x, events.y, events.p, memory, limits, why)
         return memory, why
@@ -91,7 +91,7 @@ def _filter(
     why: NDArray[np.int8],
 ) -> None:
     support_us, shortest, longest, repeats, flash = limits
-    stamp_end = 0
+    stamp_end, is_flash = 0, False
     for i in range(t_us.shape[0]):
         if i == stamp_end:
             while stamp_end < t_us.shape[0] and t_us[stamp_end] == t_us[i]:

@@ -17,6 +17,7 @@ _SIGNATURE = b"Event Stream"
 _HEADER_BYTES = 20
 _DVS = 1
 _OVERFLOW = 127
+Numbers = NDArray[np.float64] | NDArray[np.integer] | NDArray[np.bool_]
 FAERY_SUFFIXES = (".aedat", ".aedat4", ".raw", ".dat")
 
 
@@ -91,7 +92,7 @@ def _numbers(path: Path, lengths: tuple[int, ...], layout: str) -> Array:
     return row
 
 
-def _reading(t_us: Array | IntArray, x: Array, y: Array, on: Array) -> EventReading:
+def _reading(t_us: Numbers, x: Numbers, y: Numbers, on: Numbers) -> EventReading:
     p = np.where(on, 1, -1).astype(np.int8)
     return EventReading(t_us.astype(np.int64), x.astype(np.int16), y.astype(np.int16), p)
 

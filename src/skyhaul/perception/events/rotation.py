@@ -9,7 +9,7 @@ from skyhaul.geometry.camera import project_points
 from skyhaul.geometry.so3 import so3_exp
 from skyhaul.perception.events.lens import EventLens
 from skyhaul.sensors.api import EventReading
-from skyhaul.types import US_PER_S, Array, IntArray, TimeUs, frozen
+from skyhaul.types import US_PER_S, Array, IntArray, TimeUs
 
 
 @dataclass(frozen=True, eq=False)

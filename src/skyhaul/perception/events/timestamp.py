@@ -20,7 +20,7 @@ Limits:    Needs no training, and knows rotation only: what is near and stands m
     the inside of what is textured and large, is missed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -42,7 +42,7 @@ class WindowMemory:
     events: EventReading
     turn_C: Array  # (k, 3) [rad]
     begin_us: int | None = None  # first event of all
-    done: Work = Work()
+    done: Work = field(default_factory=Work)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,9 +54,9 @@ class TimestampParams(Params):
     """Length of the window [us]."""
     blur_px: int = 2
     """Times are averaged over squares that reach so far [px]."""
-    min_count: float = 4.0
-    """Fewer events than this in the square tell nothing."""
-    threshold: float = 0.13
+    prior_count: float = 6.0
+    """So many events at the window's mean time are added to each square: few tell little."""
+    threshold: float = 0.1
     """Smallest rho of a mover while the camera does not turn."""
     threshold_per_radps: float = 0.02
     """What each rad/s of the camera's rate adds to it."""
@@ -66,7 +66,7 @@ class TimestampParams(Params):
     """Edge of the cells of `EventScores.objectness` [px]."""
 
     def __post_init__(self) -> None:
-        for name in ("window_us", "blur_px", "min_count", "softness", "cell_px"):
+        for name in ("window_us", "blur_px", "prior_count", "softness", "cell_px"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
         if not 0.0 < self.threshold < 0.5:
@@ -119,7 +119,7 @@ class TimestampParams(Params):
         return p.astype(np.float32)
 
     def normalised_time(self, memory: WindowMemory, span_us: int) -> Array:
-        """Rho of every event of the window, (k,); -0.5 where too few events tell."""
+        """Rho of every event of the window, (k,); -0.5 outside the image."""
         lens, events = memory.lens, memory.events
         uv = derotated(lens, events, memory.turn_C, memory.turn_C[-1])
         pixel = np.where(np.isfinite(uv), np.round(uv), -1.0).astype(np.int64)
@@ -129,18 +129,18 @@ class TimestampParams(Params):
         shape, size = (lens.height, lens.width), 2 * self.blur_px + 1
         count = self._blurred(flat[inside], np.ones(int(inside.sum())), shape, size)
         total = self._blurred(flat[inside], since[inside], shape, size)
-        rho = np.full(len(since), -0.5)
-        here = flat[inside]
-        known = count[here] >= self.min_count
-        mean = total[here] / np.maximum(count[here], 1e-9)
-        rho[inside] = np.where(known, mean - since[inside].mean(), -0.5)
+        rho, here = np.full(len(since), -0.5), flat[inside]
+        off = total[here] - count[here] * since[inside].mean()
+        rho[inside] = off / (count[here] + self.prior_count)
         return rho
 
     @staticmethod
     def _blurred(flat: IntArray, weight: Array, shape: tuple[int, int], size: int) -> Array:
         """Sums over the squares around the pixels, (height * width,)."""
         image = np.bincount(flat, weight, minlength=shape[0] * shape[1]).reshape(shape)
-        return uniform_filter(image, size, mode="constant").ravel() * size**2
+        sums = np.asarray(uniform_filter(image, size, mode="constant"), dtype=np.float64)
+        flat_sums: Array = sums.ravel() * size**2
+        return flat_sums
 
 
 def _joined(

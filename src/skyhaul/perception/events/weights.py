@@ -20,7 +20,7 @@ import json
 import zipfile
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -140,7 +140,8 @@ def random_weights(
     offsets = len(spiral(graph.radius_px))
 
     def normal(*shape: int, fan_in: int) -> Float32:
-        return (rng.normal(size=shape) / np.sqrt(fan_in)).astype(np.float32)
+        drawn: Float32 = (rng.normal(size=shape) / np.sqrt(fan_in)).astype(np.float32)
+        return drawn
 
     made = []
     for i in range(layers):
@@ -178,8 +179,9 @@ def save_weights(weights: NetworkWeights, path: Path) -> None:
         "period_us": weights.period_us,
         "record": weights.record,
     }
+    named: dict[str, Any] = {"about": np.array(json.dumps(about)), **weights.arrays()}
     with path.open("wb") as file:
-        np.savez_compressed(file, about=np.array(json.dumps(about)), **weights.arrays())
+        np.savez_compressed(file, **named)
 
 
 def load_weights(path: Path) -> NetworkWeights:

@@ -77,7 +77,7 @@ class BirthRules(Params):
             ratio = np.abs(np.log(size / size.T))
         parallel = np.abs(z.axes[:, 2] @ z.axes[:, 2].T) > np.cos(np.radians(self.parallax_deg))
         fits = (z.camera[:, None] < z.camera[None, :]) & ~parallel
-        fits &= (s > 0.0) & (s.T > 0.0) & (s < self.reach_m) & (s.T < self.reach_m)
+        fits &= (s > 0.0) & (s.T > 0.0) & (np.maximum(s, s.T) < self.reach_m)
         fits &= (score < self.gap_sigmas) & (ratio < np.log(self.size_ratio))
         i, j = np.nonzero(fits)
         order = np.argsort(score[i, j] + ratio[i, j], kind="stable")

@@ -86,7 +86,11 @@ class ClusterRules(Params):
         count = np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape).astype(np.float64)
         around = uniform_filter(count, 3, mode="constant") * 9.0
         dense = (count > 0) & (around >= self.dense_count - 1e-6)
-        near = binary_dilation(dense, np.ones((3, 3)), self.join_cells) if self.join_cells else dense
+        near = (
+            binary_dilation(dense, np.ones((3, 3), dtype=bool), self.join_cells)
+            if self.join_cells
+            else dense
+        )
         names, _ = label(near, np.ones((3, 3)))
         found: IntArray = np.where(dense, names, 0).ravel()[flat].astype(np.int64)
         return found

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clusters followed through one camera's image: names, boxes, time to contact.
 
-Of each track a constant-velocity Kalman filter holds (u, v, ln s), s the size of the box, and the
-rates. What comes straight on grows as d ln s / dt = 1 / (time to contact).
+Of each track a Kalman filter holds (u, v, ln s), s the size of the box, and the
+rates. What comes straight on grows as g = d ln s / dt = 1 / (time to contact), and at constant
+speed dg/dt = g^2, which the prediction includes.
 """
 
 from dataclasses import dataclass
@@ -99,16 +100,24 @@ class ImageTracker(Params):
         tracks = self._updated(tracks, clusters, i, j)
         inside = _inside(tracks, clusters)
         fresh = self._begun(clusters, free & ~inside, memory.next_name)
-        tracks = ImageTracks(*(np.concatenate(p) for p in zip(tracks, fresh, strict=True)))
+        tracks = ImageTracks._make(np.concatenate(p) for p in zip(tracks, fresh, strict=True))
         unseen_us = clusters.stamp_us - tracks.seen_us
         keep = (tracks.confirmed & (unseen_us <= self.coast_us)) | (unseen_us == 0)
-        tracks = ImageTracks(*(a[keep] for a in tracks))
+        tracks = ImageTracks._make(a[keep] for a in tracks)
         next_name = memory.next_name + len(fresh.name)
         return ImageTrackMemory(clusters.stamp_us, next_name, tracks), tracks
 
     def _predicted(self, tracks: ImageTracks, dt_s: float) -> ImageTracks:
-        F = np.eye(6)
-        F[:3, 3:] = dt_s * np.eye(3)
+        """Constant velocity in the image; what comes at constant speed grows ever faster."""
+        left = 1.0 - np.clip(tracks.x[:, 5] * dt_s, -0.5, 0.5)  # share of the distance
+        x = tracks.x.copy()
+        x[:, :2] += dt_s * x[:, 3:5]
+        x[:, 2] -= np.log(left)
+        x[:, 5] /= left
+        F = np.tile(np.eye(6), (len(x), 1, 1))
+        F[:, :2, 3:5] = dt_s * np.eye(2)
+        F[:, 2, 5] = dt_s / left
+        F[:, 5, 5] = 1.0 / left**2
         size2 = np.prod(2.0 * tracks.half_size, axis=1)
         density = np.stack([self.manoeuvre * size2] * 2 + [self.growth_noise + 0.0 * size2], axis=1)
         Q = np.zeros((len(size2), 6, 6))
@@ -116,7 +125,8 @@ class ImageTracker(Params):
         Q[:, at, at] = density * dt_s**3 / 3.0
         Q[:, at, at + 3] = Q[:, at + 3, at] = density * dt_s**2 / 2.0
         Q[:, at + 3, at + 3] = density * dt_s
-        return tracks._replace(x=tracks.x @ F.T, covariance=F @ tracks.covariance @ F.T + Q)
+        cov = F @ tracks.covariance @ np.swapaxes(F, -1, -2) + Q
+        return tracks._replace(x=x, covariance=cov)
 
     def _measured(self, clusters: Clusters) -> tuple[Array, Array]:
         """(k, 3) u, v, ln s and their variances (k, 3)."""

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 
 from skyhaul.params import Params
-from skyhaul.perception.obstacles.polar import Polar, innovation, inverse_3x3
+from skyhaul.perception.obstacles.polar import Polar, innovation, inverse_3x3, per_track
 from skyhaul.types import Array
 
 Belief = tuple[Array, ...]
@@ -121,7 +121,7 @@ class KalmanFilter(Params):
         self, belief: Belief, z: Polar, rng: np.random.Generator | None = None
     ) -> KalmanBelief:
         """See `MotionFilter.update`: extended Kalman update in Joseph form, model by model."""
-        each = Polar(*(a[:, None] for a in z))
+        each = per_track(z)
         x, cov, weight = belief
         found = innovation(x[..., P], each)
         H = found.H
@@ -172,8 +172,9 @@ class KalmanFilter(Params):
         Q[0, 2, 2] = self.accel_sigma_mps2**2
         # stationary in a: what fades comes back as noise
         Q[1] = _singer_noise(t, alpha, self.accel_sigma_mps2)
-        eye = np.eye(3)
-        return np.kron(F, eye[None]), np.kron(Q, eye[None])
+        eye = np.eye(3)[None]
+        both = np.kron(F, eye), np.kron(Q, eye)
+        return np.asarray(both[0], np.float64), np.asarray(both[1], np.float64)
 
     def _mixed(self, belief: KalmanBelief, dt_s: float) -> KalmanBelief:
         """Where each model starts a step from, and the models' weights after it."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from skyhaul.params import Params
 from skyhaul.perception.obstacles.motion import Belief, Moments
-from skyhaul.perception.obstacles.polar import Polar, innovation
+from skyhaul.perception.obstacles.polar import Polar, innovation, per_track
 from skyhaul.types import Array
 
 
@@ -51,9 +51,7 @@ class ParticleFilter(Params):
         x[..., 3:] = self.speed_sigma_mps * rng.normal(size=(n, k, 3))
         return ParticleBelief(x, np.full((n, k), 1.0 / k))
 
-    def predict(
-        self, belief: Belief, dt_s: float, rng: np.random.Generator
-    ) -> ParticleBelief:
+    def predict(self, belief: Belief, dt_s: float, rng: np.random.Generator) -> ParticleBelief:
         """See `MotionFilter.predict`: noise of the exact covariance of white acceleration."""
         x, weight = belief
         if dt_s == 0.0:
@@ -67,7 +65,7 @@ class ParticleFilter(Params):
     def update(self, belief: Belief, z: Polar, rng: np.random.Generator) -> ParticleBelief:
         """See `MotionFilter.update`."""
         x, weight = belief
-        found = innovation(x[..., :3], Polar(*(a[:, None] for a in z)))
+        found = innovation(x[..., :3], per_track(z))
         squared = np.sum(found.residual**2 / z.variance[:, None], axis=-1)
         log_weight = np.log(np.maximum(weight, 1e-300)) - 0.5 * squared
         log_weight[found.ahead <= 0.0] -= 1e3
@@ -101,7 +99,10 @@ class ParticleFilter(Params):
         mean = weight @ x
         off = x - mean
         root = np.linalg.cholesky((weight[:, None] * off).T @ off + 1e-12 * np.eye(6))
-        at = np.minimum(np.searchsorted(np.cumsum(weight), (np.arange(k) + rng.random()) / k), k - 1)
+        at = np.minimum(
+            np.searchsorted(np.cumsum(weight), (np.arange(k) + rng.random()) / k), k - 1
+        )
         keep = np.sqrt(1.0 - self.roughening**2)
         rough: Array = self.roughening * rng.normal(size=(k, 6)) @ root.T
-        return mean + keep * off[at] + rough
+        drawn: Array = mean + keep * off[at] + rough
+        return drawn

@@ -61,12 +61,17 @@ def polar(seen: Bearings) -> Polar:
 
 def rows(z: Polar, which: IntArray) -> Polar:
     """Some of the measurements."""
-    return Polar(*(a[which] for a in z))
+    return Polar._make(a[which] for a in z)
+
+
+def per_track(z: Polar) -> Polar:
+    """Measurements, one for each track, that broadcast with (tracks, models or particles)."""
+    return Polar._make(a[:, None] for a in z)
 
 
 def stacked(parts: list[Polar]) -> Polar:
     """Measurements of several cameras as one."""
-    return Polar(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    return Polar._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 def innovation(p_WO: Array, z: Polar) -> Innovation:
@@ -118,7 +123,7 @@ def gate(p_WO: Array, covariance: Array, z: Polar) -> tuple[Array, Array]:
 
 
 def triangulate(z: Polar, p_guess: Array) -> tuple[Array, Array]:
-    """Position (3,) and covariance (3, 3) from the rows of z, three Gauss-Newton steps from a guess.
+    """Position (3,) and covariance (3, 3) from the rows of z, by Gauss-Newton from a guess.
 
     The covariance is the inverse of the information H^T R^-1 H of all rows.
     """

@@ -119,9 +119,7 @@ class BearingTracker(Params):
         after = TrackerMemory(stamp_us, memory.step_index + 1, next_name, work.book, work.belief)
         return after, self._handed_out(after)
 
-    def _predicted(
-        self, belief: Belief, dt_s: float, rng: np.random.Generator
-    ) -> Belief:
+    def _predicted(self, belief: Belief, dt_s: float, rng: np.random.Generator) -> Belief:
         return self.filter.predict(belief, dt_s, rng)
 
     def _handed_out(self, memory: TrackerMemory) -> tuple[Track, ...]:
@@ -145,8 +143,8 @@ class _Step:
         rng: np.random.Generator,
     ) -> None:  # fmt: skip
         self.rules, self.stamp_us, self.rng = rules, stamp_us, rng
-        self.book = Book(*(a.copy() for a in book))
-        self.belief = belief
+        self.book = Book._make(a.copy() for a in book)
+        self.belief = tuple(a.copy() for a in belief)
         self.hit = np.zeros(len(book.name), dtype=bool)
 
     def assign(self, z: Polar) -> Polar:
@@ -173,7 +171,7 @@ class _Step:
         filtered = self.rules.filter
         better = filtered.update(_take(self.belief, tracks), z, self.rng)
         for whole, new in zip(self.belief, better, strict=True):
-            whole[tracks] = new  # own since the prediction
+            whole[tracks] = new
         self.hit[tracks] = True
         self.book.seen_us[tracks] = self.stamp_us
         self.book.cameras[tracks] |= np.left_shift(1, z.camera % 62)
@@ -220,7 +218,7 @@ class _Step:
             np.full(k, self.stamp_us), np.array(bits), np.log([b.radius_m for b in born]),
             np.full(k, 0.05),
         )  # fmt: skip
-        self.book = Book(*(np.concatenate(pair) for pair in zip(self.book, new, strict=True)))
+        self.book = Book._make(np.concatenate(pair) for pair in zip(self.book, new, strict=True))
         both = zip(self.belief, fresh, strict=True)
         self.belief = tuple(np.concatenate(pair) for pair in both)
         return next_name + k
@@ -288,7 +286,7 @@ class _Step:
 
     def _keep(self, which: Mask) -> None:
         if not np.all(which):
-            self.book = Book(*(a[which] for a in self.book))
+            self.book = Book._make(a[which] for a in self.book)
             self.belief = _take(self.belief, which)
 
 
