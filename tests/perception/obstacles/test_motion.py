@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from skyhaul.perception.obstacles.motion import KalmanFilter
 from skyhaul.perception.obstacles.particles import ParticleFilter
-from skyhaul.perception.obstacles.polar import polar
+from skyhaul.perception.obstacles.polar import Polar, innovation, polar
 from skyhaul.perception.obstacles.tubes import radius_95
 
 from .conftest import PERIOD_US, Swing, seen_by
@@ -58,6 +58,35 @@ def test_two_steps_are_one_long_step_without_measurements():
     once = motion.predict(start, 0.5)
     for a, b in zip(twice, once, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-10)
+
+
+def test_update_is_the_textbook_one():
+    """Joseph form and likelihood in NumPy, from `innovation`."""
+    rng = np.random.default_rng(3)
+    motion = KalmanFilter()
+    z = polar(seen_by(1, [Swing((2.5, -1.0, 2.0), (0.0, 0.0, 0.0))] * 3, 0, rng, miss=0.0,
+                      ranged=True)[0])  # fmt: skip
+    start = motion.start(
+        np.tile([2.6, -0.9, 2.1], (3, 1)), np.tile(0.02 * np.eye(3), (3, 1, 1)), rng
+    )
+    prior = motion.predict(start, 0.3)
+    after = motion.update(prior, z)
+    for i in range(3):
+        likelihood = []
+        for m in range(2):
+            P, x = prior.covariance[i, m], prior.x[i, m]
+            found = innovation(x[:3], Polar(*(a[i] for a in z)))
+            H = np.zeros((3, 9))
+            H[:, :3] = found.H
+            R, y = np.diag(z.variance[i]), found.residual
+            S = H @ P @ H.T + R
+            K = P @ H.T @ np.linalg.inv(S)
+            J = np.eye(9) - K @ H
+            np.testing.assert_allclose(after.x[i, m], x + K @ y, atol=1e-9)
+            np.testing.assert_allclose(after.covariance[i, m], J @ P @ J.T + K @ R @ K.T, atol=1e-9)
+            likelihood.append(np.exp(-0.5 * y @ np.linalg.solve(S, y)) / np.sqrt(np.linalg.det(S)))
+        weight = prior.weight[i] * likelihood
+        np.testing.assert_allclose(after.weight[i], weight / weight.sum(), atol=1e-8)
 
 
 def wander(motion_noise, steps, rng):

@@ -5,9 +5,9 @@ from scipy.stats import chi2
 from skyhaul.perception.obstacles.api import Bearings, bearings
 from skyhaul.perception.obstacles.births import BirthRules
 from skyhaul.perception.obstacles.polar import (
+    Polar,
     gate,
     innovation,
-    inverse_3x3,
     polar,
     stacked,
     triangulate,
@@ -39,12 +39,35 @@ def test_residual_vanishes_at_the_obstacle_and_its_jacobian_is_that_of_differenc
         np.testing.assert_allclose((back - ahead) / 2e-6, H[:, axis], atol=1e-7)
 
 
-def test_inverse_of_symmetric_matrices_is_that_of_numpy():
-    root = np.random.default_rng(1).normal(size=(50, 3, 3))
-    S = root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(3)
-    inverse, det = inverse_3x3(S)
-    np.testing.assert_allclose(inverse, np.linalg.inv(S), rtol=1e-8, atol=1e-8)
-    np.testing.assert_allclose(det, np.linalg.det(S), rtol=1e-9)
+def test_gates_are_those_of_the_linearised_measurements():
+    """Against NumPy's inverse and determinant of S from `innovation`."""
+    rng = np.random.default_rng(1)
+    points = np.array([[3.0, 1.0, 2.0], [-2.0, 2.5, 1.0], [0.5, -3.0, 2.5]])
+    z = seen_by(0, [Swing(tuple(p), (0.0, 0.0, 0.0)) for p in points], 0, rng, ranged=True)[0]
+    z = polar(z)
+    root = rng.normal(size=(3, 3, 3))
+    cov = 0.01 * root @ np.swapaxes(root, -1, -2)
+    squared, log_det = gate(points + 0.1, cov, z)
+    for i in range(3):
+        for j in range(len(z.camera)):
+            found = innovation(points[i] + 0.1, Polar(*(a[j] for a in z)))
+            if found.ahead > 0.0:
+                S = found.H @ cov[i] @ found.H.T + np.diag(z.variance[j])
+                y = found.residual
+                np.testing.assert_allclose(squared[i, j], y @ np.linalg.solve(S, y), rtol=1e-8)
+                np.testing.assert_allclose(log_det[i, j], np.log(np.linalg.det(S)), rtol=1e-8)
+    assert np.isfinite(squared).sum() == 3
+
+
+def test_axes_of_a_measurement_are_right_handed_around_its_direction():
+    d = np.random.default_rng(2).normal(size=(40, 3))
+    d[0], d[1] = [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    axes = polar(bearings(0, 0, np.zeros(3), d, 0.01, np.full(40, 0.1))).axes
+    np.testing.assert_allclose(axes @ np.swapaxes(axes, -1, -2), np.tile(np.eye(3), (40, 1, 1)),
+                               atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(np.linalg.det(axes), 1.0)
+    np.testing.assert_array_equal(axes[:, 2], d)
 
 
 def test_a_gate_is_closed_for_what_is_behind_the_camera():

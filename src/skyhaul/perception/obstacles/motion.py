@@ -9,12 +9,14 @@ Source: Blom and Bar-Shalom, "The interacting multiple model algorithm" (TAC 198
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from skyhaul.params import Params
-from skyhaul.perception.obstacles.polar import Polar, innovation, inverse_3x3, per_track
+from skyhaul.perception.obstacles.kernels import update_all
+from skyhaul.perception.obstacles.polar import Polar, measured
 from skyhaul.types import Array
 
 Belief = tuple[Array, ...]
@@ -113,7 +115,7 @@ class KalmanFilter(Params):
         if dt_s == 0.0:
             return KalmanBelief(*belief)
         x, cov, weight = self._mixed(KalmanBelief(*belief), dt_s)
-        F, Q = (a[self._used] for a in self.transition(dt_s))
+        F, Q = (a[self._used] for a in _transition(self, dt_s))
         moved = (F @ x[..., None])[..., 0]
         return KalmanBelief(moved, F @ cov @ np.swapaxes(F, -1, -2) + Q, weight)
 
@@ -121,23 +123,10 @@ class KalmanFilter(Params):
         self, belief: Belief, z: Polar, rng: np.random.Generator | None = None
     ) -> KalmanBelief:
         """See `MotionFilter.update`: extended Kalman update in Joseph form, model by model."""
-        each = per_track(z)
-        x, cov, weight = belief
-        found = innovation(x[..., P], each)
-        H = found.H
-        PHt = cov[..., :, P] @ np.swapaxes(H, -1, -2)
-        S = H @ PHt[..., P, :]
-        S[..., [0, 1, 2], [0, 1, 2]] += each.variance
-        inverse, det = inverse_3x3(S)
-        gain = PHt @ inverse
-        y = found.residual
-        x = x + (gain @ y[..., None])[..., 0]
-        keep = np.broadcast_to(np.eye(9), cov.shape).copy()
-        keep[..., :, P] -= gain @ H
-        noise = (gain * each.variance[..., None, :]) @ np.swapaxes(gain, -1, -2)
-        cov = keep @ cov @ np.swapaxes(keep, -1, -2) + noise
-        squared = (y[..., None, :] @ inverse @ y[..., None])[..., 0, 0]
-        log_weight = np.log(weight) - 0.5 * (squared + np.log(det))
+        x, cov, weight = (a.copy() for a in belief)
+        log_likelihood = np.empty_like(weight)
+        update_all(x, cov, log_likelihood, *measured(z))
+        log_weight = np.log(weight) + log_likelihood
         likely = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
         weight = np.maximum(likely / likely.sum(axis=1, keepdims=True), 1e-9)
         return KalmanBelief(x, cov, weight / weight.sum(axis=1, keepdims=True))
@@ -145,6 +134,8 @@ class KalmanFilter(Params):
     def moments(self, belief: Belief) -> Moments:
         """See `MotionFilter.moments`."""
         x, cov, weight = belief
+        if x.shape[1] == 1:
+            return Moments(x[:, 0, P], x[:, 0, V], cov[:, 0, PV, PV])
         x, w = x[..., PV], weight[..., None]
         mean = np.sum(w * x, axis=1)
         off = x - mean[:, None]
@@ -191,6 +182,12 @@ class KalmanFilter(Params):
         cov = np.einsum("nij,niab->njab", share, belief.covariance)
         cov += np.einsum("nij,nija,nijb->njab", share, off, off)
         return KalmanBelief(x, cov, weight)
+
+
+@lru_cache(maxsize=64)
+def _transition(params: KalmanFilter, dt_s: float) -> tuple[Array, Array]:
+    """`KalmanFilter.transition`, kept: steps are mostly of one length."""
+    return params.transition(dt_s)
 
 
 def _singer_noise(t: float, alpha: float, sigma: float) -> Array:

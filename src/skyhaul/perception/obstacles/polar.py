@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skyhaul.perception.obstacles.api import Bearings
+from skyhaul.perception.obstacles.kernels import gate_all
 from skyhaul.types import Array, IntArray
 
 UNRANGED_VARIANCE = 1e6
@@ -42,10 +43,7 @@ def polar(seen: Bearings) -> Polar:
     """A camera's bearings as measurements."""
     d = seen.dir_W
     k = len(d)
-    helper = np.eye(3)[np.argmin(np.abs(d), axis=1)] if k else np.zeros((0, 3))
-    e1 = np.cross(d, helper)
-    e1 /= np.linalg.norm(e1, axis=1, keepdims=True)
-    axes = np.stack([e1, np.cross(d, e1), d], axis=1)
+    axes = _axes(d)
     ranged = np.isfinite(seen.range_m)
     angle = np.square(seen.sigma_rad)
     range_variance = np.where(ranged, np.square(seen.range_sigma_m), UNRANGED_VARIANCE)
@@ -57,6 +55,22 @@ def polar(seen: Bearings) -> Polar:
         half_angle=seen.half_angle_rad,
         camera=np.full(k, seen.camera),
     )
+
+
+def _axes(d: Array) -> Array:
+    """Right-handed axes e1, e2, d around unit vectors, (k, 3) -> (k, 3, 3).
+
+    Source: Duff et al., "Building an orthonormal basis, revisited" (JCGT 2017).
+    """
+    x, y, z = d.T
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    axes = np.empty((len(d), 3, 3))
+    axes[:, 0, 0], axes[:, 0, 1], axes[:, 0, 2] = 1.0 + sign * x * x * a, sign * b, -sign * x
+    axes[:, 1, 0], axes[:, 1, 1], axes[:, 1, 2] = b, sign + y * y * a, -y
+    axes[:, 2] = d
+    return axes
 
 
 def rows(z: Polar, which: IntArray) -> Polar:
@@ -89,20 +103,6 @@ def innovation(p_WO: Array, z: Polar) -> Innovation:
     return Innovation(residual, H, along[..., 2])
 
 
-def inverse_3x3(S: Array) -> tuple[Array, Array]:
-    """Inverses and determinants of symmetric matrices (..., 3, 3), written out."""
-    a, b, c = S[..., 0, 0], S[..., 0, 1], S[..., 0, 2]
-    d, e, f = S[..., 1, 1], S[..., 1, 2], S[..., 2, 2]
-    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * A + b * B + c * C
-    inverse = np.empty_like(S)
-    inverse[..., 0, 0], inverse[..., 1, 1], inverse[..., 2, 2] = A, a * f - c * c, a * d - b * b
-    inverse[..., 0, 1] = inverse[..., 1, 0] = B
-    inverse[..., 0, 2] = inverse[..., 2, 0] = C
-    inverse[..., 1, 2] = inverse[..., 2, 1] = b * c - a * e
-    return inverse / det[..., None, None], det
-
-
 def gate(p_WO: Array, covariance: Array, z: Polar) -> tuple[Array, Array]:
     """Squared Mahalanobis distance and ln det S of every track to every measurement, (n, k).
 
@@ -113,13 +113,16 @@ def gate(p_WO: Array, covariance: Array, z: Polar) -> tuple[Array, Array]:
         covariance: Theirs, (n, 3, 3) [m^2].
         z: Measurements, k rows.
     """
-    found = innovation(p_WO[:, None], z)
-    S = found.H @ covariance[:, None] @ np.swapaxes(found.H, -1, -2)
-    S[..., [0, 1, 2], [0, 1, 2]] += z.variance
-    inverse, det = inverse_3x3(S)
-    y = found.residual
-    squared = np.einsum("nki,nkij,nkj->nk", y, inverse, y)
-    return np.where(found.ahead > 0.0, squared, np.inf), np.log(det)
+    shape = len(p_WO), len(z.camera)
+    squared, log_det = np.empty(shape), np.empty(shape)
+    cov = np.ascontiguousarray(covariance)
+    gate_all(np.ascontiguousarray(p_WO), cov, *measured(z), squared, log_det)
+    return squared, log_det
+
+
+def measured(z: Polar) -> tuple[Array, Array, Array, Array]:
+    """Places, axes, ranges and variances, as the kernels take them."""
+    return np.ascontiguousarray(z.p_WC), z.axes, z.range_m, z.variance
 
 
 def triangulate(z: Polar, p_guess: Array) -> tuple[Array, Array]:

@@ -49,6 +49,8 @@ class TrackerMemory:
     next_name: int
     book: Book
     belief: Belief
+    given: tuple[tuple[int, int, int], ...] = ()
+    """In the last step: camera, row of its bearings, name of the track that took it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,19 +106,22 @@ class BearingTracker(Params):
         self, memory: TrackerMemory, stamp_us: TimeUs, seen: tuple[Bearings, ...]
     ) -> tuple[TrackerMemory, tuple[Track, ...]]:
         """See `ObstacleTracker.step`."""
-        rng = np.random.default_rng((self.seed, memory.step_index))
+        rng = _random(self.seed, memory.step_index)
         dt_s = 0.0 if memory.stamp_us is None else (stamp_us - memory.stamp_us) / US_PER_S
         work = _Step(self, stamp_us, memory.book, self._predicted(memory.belief, dt_s, rng), rng)
         if seen:
             unexplained = [work.assign(polar(one)) for one in seen if len(one.dir_W)]
             work.age()
-            next_name = work.begin(unexplained, memory.next_name)
+            left = [z for z in unexplained if len(z.camera)]
+            next_name = work.begin(left, memory.next_name)
             work.merge()
             work.confirm()
         else:
             next_name = memory.next_name
         work.bury()
-        after = TrackerMemory(stamp_us, memory.step_index + 1, next_name, work.book, work.belief)
+        after = TrackerMemory(
+            stamp_us, memory.step_index + 1, next_name, work.book, work.belief, tuple(work.given)
+        )
         return after, self._handed_out(after)
 
     def _predicted(self, belief: Belief, dt_s: float, rng: np.random.Generator) -> Belief:
@@ -146,6 +151,7 @@ class _Step:
         self.book = Book._make(a.copy() for a in book)
         self.belief = tuple(a.copy() for a in belief)
         self.hit = np.zeros(len(book.name), dtype=bool)
+        self.given: list[tuple[int, int, int]] = []
 
     def assign(self, z: Polar) -> Polar:
         """Give one camera's bearings to tracks; what is left."""
@@ -162,6 +168,9 @@ class _Step:
                 i, j = linear_sum_assignment(cost[np.ix_(tracks, free)])
                 good = cost[tracks[i], free[j]] < _FAR
                 self._update(tracks[i[good]], rows(z, free[j[good]]))
+                for track, row in zip(tracks[i[good]], free[j[good]], strict=True):
+                    name = int(self.book.name[track])
+                    self.given.append((int(z.camera[row]), int(row), name))
                 free = np.delete(free, j[good])
         return rows(z, free)
 
@@ -250,6 +259,8 @@ class _Step:
     def confirm(self) -> None:
         """M of N; then a lost track's name is taken up again."""
         rules, book = self.rules, self.book
+        if book.confirmed.all():
+            return
         cameras = np.array([int(bits).bit_count() for bits in book.cameras], dtype=np.int64)
         enough = (cameras >= rules.confirm_cameras) | (book.cameras >> 62 > 0)
         ripe = ~book.confirmed & enough & (book.hits.sum(axis=1) >= rules.confirm_hits)
@@ -288,6 +299,11 @@ class _Step:
         if not np.all(which):
             self.book = Book._make(a[which] for a in self.book)
             self.belief = _take(self.belief, which)
+
+
+def _random(seed: int, step_index: int) -> np.random.Generator:
+    """Random numbers of one step: of their own stretch of the seed's stream."""
+    return np.random.Generator(np.random.Philox(key=seed, counter=[0, step_index, 0, 0]))
 
 
 def chi2_limit(probability: float, freedoms: IntArray) -> Array:

@@ -37,9 +37,11 @@ def tracks_of(
     The ball that holds 95 % grows faster than linearly; the tube is the chord of its radius
     between now and the horizon, so that it holds it in between.
     """
+    if not len(name):
+        return ()
     moments = motion.moments(belief)
-    now = radius_95(motion.spread(belief, 0.0))
-    then = radius_95(motion.spread(belief, horizon_s))
+    spreads = [motion.spread(belief, dt_s) for dt_s in (0.0, horizon_s)]
+    now, then = radius_95(np.stack(spreads))
     radius = np.exp(log_radius)
     size = radius * np.expm1(_SIZE_SIGMAS * np.sqrt(radius_variance))
     return tuple(
