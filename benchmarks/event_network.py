@@ -38,7 +38,7 @@ from skyhaul.types import Array
 
 GOOD_DAY_S = 0.12
 DATA = Path(os.environ.get("SKYHAUL_DATA", "../shared/data"))
-REPEATS = 5
+REPEATS = 3
 EXACT_EVENTS = 12_000
 CHUNK = 1_500  # events, 10 ms at 150 k/s
 Stream = tuple[EventLens, EventReading, Array]
@@ -62,10 +62,11 @@ def made_up(count: int, seed: int = 0) -> Stream:
 
 
 def recorded(name: str) -> Stream:
-    """A real recording; of the aeroplane without the image at its start."""
+    """A real recording; of the aeroplane 150 k events after the image at its start."""
     if name == "dvs":
         made = read_recording(DATA / "events" / "dvs.es")
-        events = part(made.events, made.width * made.height, len(made.events.t_us))
+        first = made.width * made.height
+        events = part(made.events, first, first + 150_000)
         lens = event_lens(RadTan.from_fov((made.width, made.height), 60.0))
         return lens, events, np.zeros((len(events.t_us), 3))
     folder = DATA / "ijrr" / name

@@ -8,6 +8,8 @@ import numpy as np
 from skyhaul.jit import njit
 from skyhaul.types import Array
 
+# mypy: disable-error-code="no-any-return"
+
 _NEAREST_M = 0.05
 
 
