@@ -55,13 +55,14 @@ format: $(READY)
 	$(BIN)/ruff check --fix
 
 bench: $(READY)
+	@$(PIP) install -c constraints.txt --group bench
 	@set -e; for b in $(BENCHMARKS); do echo "$$b"; $(BIN)/python $$b; done
 	@$(BIN)/python benchmarks/readme_table.py
 
 lock:
 	rm -rf build/lock && $(PYTHON) -m venv build/lock
 	build/lock/bin/python -m pip install --quiet --upgrade pip hatchling editables
-	build/lock/bin/python -m pip install --quiet --editable '.[video]' --group dev
+	build/lock/bin/python -m pip install --quiet --editable '.[video,recordings]' --group dev --group bench
 	{ echo "# Locked versions of everything that make setup installs; pip reads it as constraints."; \
 	  build/lock/bin/python -m pip freeze --all --exclude-editable; } > constraints.txt
 	rm -rf build/lock

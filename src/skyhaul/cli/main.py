@@ -60,6 +60,10 @@ def parser() -> argparse.ArgumentParser:
     config = commands.add_parser("config", parents=[shared], help="print the whole configuration")
     _add_scenario(config)
 
+    _add_events(commands.add_parser(
+        "events", parents=[shared], help="what moves in a recording of an event camera"
+    ))  # fmt: skip
+
     doctor = commands.add_parser(
         "doctor", parents=[shared], help="what this machine has and what a team can bear"
     )
@@ -97,6 +101,10 @@ def command(name: str) -> Callable[[argparse.Namespace], int]:
             from skyhaul.cli.vio import vio
 
             return vio
+        case "events":
+            from skyhaul.cli.events import events
+
+            return events
         case _:
             from skyhaul.cli.doctor import doctor
 
@@ -170,6 +178,26 @@ def _add_vio(vio: argparse.ArgumentParser) -> None:
         metavar="PX",
         help="standard deviation of a track (default: 1.2 px)",
     )
+
+
+def _add_events(to: argparse.ArgumentParser) -> None:
+    to.add_argument("file", metavar="FILE", type=Path, help="`t x y p` text, .es, .aedat4, .raw")
+    to.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    to.add_argument(
+        "--calib",
+        type=Path,
+        metavar="FILE",
+        help="lens, `fx fy cx cy k1 k2 p1 p2 k3` (default: calib.txt beside FILE, if there)",
+    )
+    to.add_argument(
+        "--rate",
+        type=float,
+        nargs=3,
+        metavar=("WX", "WY", "WZ"),
+        help="the camera's angular rate in its own axes [rad/s] (default: motion.txt, or none)",
+    )
+    to.add_argument("--weights", type=Path, metavar="FILE", help="event network (.npz) to use")
+    to.add_argument("--out", type=Path, metavar="DIR", help="write a video of movers and tracks")
 
 
 def _add_scenario(to: argparse.ArgumentParser) -> None:

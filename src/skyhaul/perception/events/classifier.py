@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`kind: network`: the event network as a classifier of events."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from skyhaul.params import Params
+from skyhaul.perception.events.api import EventScores, Work
+from skyhaul.perception.events.graph import (
+    GraphParams,
+    GraphRules,
+    graph_memory,
+    graph_rules,
+    no_neighbours,
+)
+from skyhaul.perception.events.lens import EventLens
+from skyhaul.perception.events.network import (
+    EDGES,
+    EVENTS,
+    LONELY_COUNT,
+    MULTIPLY_ADDS,
+    PRUNES,
+    REFRACTORY_COUNT,
+    UPDATES,
+    NetworkMemory,
+    PoolRules,
+    cells_at,
+    pool_memory,
+    run_events,
+)
+from skyhaul.perception.events.weights import (
+    WIDTH,
+    NetworkWeights,
+    PackedWeights,
+    load_weights,
+    packed,
+)
+from skyhaul.sensors.api import EventReading
+from skyhaul.types import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkParams(Params):
+    """Which weights, and what is skipped."""
+
+    kind: Literal["network"] = "network"
+    weights: str
+    """Weights file (.npz)."""
+    min_neighbours: int | None = None
+    """Insertion skip, instead of the weights' own; 0 evaluates every node."""
+    refractory_us: int | None = None
+    """Insertion skip, instead of the weights' own; 0 inserts every event [us]."""
+    prune: bool = True
+    """Evaluate a cell's layers only after its maximum has changed; the result is the same."""
+
+    def build(self) -> "EventNetwork":
+        """Read the weights."""
+        weights = load_weights(Path(self.weights))
+        skip = {k: v for k in ("min_neighbours", "refractory_us")
+                if (v := getattr(self, k)) is not None}  # fmt: skip
+        graph: GraphParams = replace(weights.graph, **skip)
+        return EventNetwork(replace(weights, graph=graph), prune=self.prune)
+
+
+@dataclass(frozen=True, eq=False)
+class LensAndMemory:
+    """The camera, and the network's memory of its events."""
+
+    lens: EventLens
+    network: NetworkMemory
+
+
+@dataclass(frozen=True, eq=False)
+class EventNetwork:
+    """Implements `EventClassifier`."""
+
+    weights: NetworkWeights
+    prune: bool = True
+
+    @cached_property
+    def _packed(self) -> PackedWeights:
+        return packed(self.weights)
+
+    @cached_property
+    def _rules(self) -> tuple[GraphRules, PoolRules]:
+        pooling = PoolRules(self.weights.cell_px, self.weights.period_us, self.prune)
+        return graph_rules(self.weights.graph), pooling
+
+    def init(self, lens: EventLens) -> LensAndMemory:
+        """See `EventClassifier.init`."""
+        graph, row = self.weights.graph, len(self.weights.layers) * WIDTH
+        network = NetworkMemory(
+            graph=graph_memory(graph, lens.width, lens.height),
+            found=no_neighbours(graph),
+            features=np.zeros((graph.capacity, row), np.float32),
+            score=np.zeros(graph.capacity, np.float32),
+            pool=pool_memory(lens.width, lens.height, self.weights.cell_px),
+            work=np.zeros(7, np.int64),
+            scratch=np.zeros((2, row), np.float32),
+        )
+        return LensAndMemory(lens, network)
+
+    def step(
+        self, memory: LensAndMemory, events: EventReading, turn_C: Array
+    ) -> tuple[LensAndMemory, EventScores]:
+        """See `EventClassifier.step`."""
+        rules, pooling = self._rules
+        lens, network = memory.lens, memory.network
+        p_mover = np.empty(len(events.t_us), np.float32)
+        run_events(events.t_us, events.x, events.y, events.p, turn_C, lens.turn_flow, rules,
+                   pooling, self._packed, network, p_mover)  # fmt: skip
+        newest = int(events.t_us[-1]) if len(events.t_us) else _newest_us(network)
+        cells = np.empty(network.pool.objectness.shape, np.float32)
+        cells_at(newest, pooling, self._packed, network, cells)
+        return memory, EventScores(newest, p_mover, cells, self.weights.cell_px)
+
+    def work(self, memory: LensAndMemory) -> Work:
+        """See `EventClassifier.work`."""
+        done = [int(v) for v in memory.network.work]
+        return Work(
+            events=done[EVENTS],
+            lonely=done[LONELY_COUNT],
+            refractory=done[REFRACTORY_COUNT],
+            edges=done[EDGES],
+            multiply_adds=done[MULTIPLY_ADDS],
+            pool_updates=done[UPDATES],
+            pool_prunes=done[PRUNES],
+        )
+
+
+def _newest_us(network: NetworkMemory) -> int:
+    """Time of the newest node, 0 without one."""
+    total = int(network.graph.total[0])
+    return int(network.graph.t_us[(total - 1) & (len(network.graph.t_us) - 1)]) if total else 0
