@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Claim: when a vehicle dies in flight, the others bring the load to the goal (4 -> 3, 5 -> 4).
 
-The files let vehicle 1 die half way to the goal; here every vehicle of the team dies once there, and
-in the team of four also at other places, and in turbulence. Contacts are counted after lift-off: those of the dead vehicle with the floor are its fall; any other is a
-failure.
+The files let vehicle 1 die half way to the goal; here every vehicle of the team dies once there,
+and in the team of four also at other places, and in turbulence. Contacts are counted after
+lift-off: those of the dead vehicle with the floor are its fall; any other is a failure.
 """
 
 from typing import Any
