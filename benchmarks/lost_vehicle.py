@@ -3,13 +3,15 @@
 
 The files let vehicle 1 die half way to the goal; here every vehicle of the team dies once there,
 and in the team of four also at other places, and in turbulence. Contacts are counted after
-lift-off: those of the dead vehicle with the floor are its fall; any other is a failure.
+lift-off: those of the dead vehicle with the floor are its fall; any other is a failure. A run that
+was broken off goes on from `results/lost_vehicle.partial.jsonl`; delete it to begin anew.
 """
 
 from typing import Any
 
 import numpy as np
 from fly import Flown, Job, chosen, fly_all
+from provenance import RESULTS
 from result_file import Result, Row, arguments, least, most, numbers, publish, spread, successes
 
 from skyhaul.evaluation.series import Run
@@ -85,8 +87,15 @@ def main() -> None:
         for name, count in TEAMS.items()
         for i in ((FILED,) if args.quick else range(count))
     ]
-    jobs += [] if args.quick else elsewhere()
-    flown = fly_all(jobs, args.workers)
+    kept = None if args.quick else RESULTS / "lost_vehicle.partial.jsonl"
+    flown = fly_all(jobs, args.workers, kept)
+    report(flown, write=not args.quick)
+    if not args.quick:
+        report(flown + fly_all(elsewhere(), args.workers, kept), write=True)
+
+
+def report(flown: list[Flown], *, write: bool) -> None:
+    """Print what the flights show, and write the result."""
     result = Result(
         name="lost_vehicle",
         claim="a vehicle dies half way and is released: load and others stay up and reach the goal",
@@ -95,7 +104,7 @@ def main() -> None:
         keys=KEYS,
         notes={},
     )
-    publish(result, write=not args.quick)
+    publish(result, write=write)
 
 
 def elsewhere() -> list[Job]:
