@@ -4,7 +4,7 @@
 The files let vehicle 1 die half way to the goal; here every vehicle of the team dies once there,
 and in the team of four also at other places, and in turbulence. Contacts are counted after
 lift-off: those of the dead vehicle with the floor are its fall; any other is a failure. A run that
-was broken off goes on from `results/lost_vehicle.partial.jsonl`; delete it to begin anew.
+was broken off goes on from `results/lost_vehicle.partial.jsonl`; delete that to begin anew.
 """
 
 from typing import Any
@@ -92,6 +92,8 @@ def main() -> None:
     report(flown, write=not args.quick)
     if not args.quick:
         report(flown + fly_all(elsewhere(), args.workers, kept), write=True)
+    if kept is not None:
+        kept.unlink()
 
 
 def report(flown: list[Flown], *, write: bool) -> None:

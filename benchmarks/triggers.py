@@ -113,10 +113,12 @@ def main() -> None:
     args = arguments(__doc__)
     worlds = ["figure8"] if args.quick else list(WORLDS)
     flown: list[Flown] = []
+    kept = None if args.quick else RESULTS / "triggers.partial.jsonl"
     for k, world in enumerate(worlds):
-        kept = None if args.quick else RESULTS / "triggers.partial.jsonl"
         flown += fly_all(jobs_of(world), args.workers, kept)
         report(flown, worlds[: k + 1], write=not args.quick)
+    if kept is not None:
+        kept.unlink()
 
 
 def jobs_of(world: str) -> list[Job]:
