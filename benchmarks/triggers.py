@@ -10,13 +10,13 @@ controller.
 
 All worlds take an hour on two cores. Flights are kept in `results/triggers.partial.jsonl`, so that
 a run that was broken off goes on, and the result is written after each world with those that are
-done; delete that file to begin anew.
+done (`--kept`: with the flights that are); delete that file to begin anew.
 """
 
 import statistics
 from typing import Any
 
-from fly import Flown, Job, chosen, fly_all
+from fly import Flown, Job, chosen, fly_all, read_kept
 from provenance import RESULTS
 from result_file import Result, Row, arguments, least, median, numbers, publish, spread, successes
 
@@ -110,13 +110,17 @@ def verdict(flown: list[Flown], worlds: list[str]) -> list[str]:
 
 def main() -> None:
     """Fly all ways in all worlds and write the result."""
-    args = arguments(__doc__)
+    args = arguments(__doc__, ("--kept", "fly nothing, report the flights that are kept"))
     worlds = ["figure8"] if args.quick else list(WORLDS)
-    flown: list[Flown] = []
     kept = None if args.quick else RESULTS / "triggers.partial.jsonl"
-    for k, world in enumerate(worlds):
+    if args.kept:
+        jobs = [job for world in worlds for job in jobs_of(world)]
+        report(list(read_kept(kept, jobs).values()) if kept else [], write=True)
+        return
+    flown: list[Flown] = []
+    for world in worlds:
         flown += fly_all(jobs_of(world), args.workers, kept)
-        report(flown, worlds[: k + 1], write=not args.quick)
+        report(flown, write=not args.quick)
     if kept is not None:
         kept.unlink()
 
@@ -131,10 +135,11 @@ def jobs_of(world: str) -> list[Job]:
     ]
 
 
-def report(flown: list[Flown], worlds: list[str], *, write: bool) -> None:
-    """Print what these worlds show, and write the result."""
-    rows = [row for world in worlds for row in comparison(flown, world)]
+def report(flown: list[Flown], *, write: bool) -> None:
+    """Print what these flights show, and write the result."""
     cases = dict.fromkeys(f.job.case for f in flown)
+    worlds = [world for world in WORLDS if any(case.startswith(f"{world}: ") for case in cases)]
+    rows = [row for world in worlds for row in comparison(flown, world)]
     table = [line(chosen(flown, case=case)) for case in cases]
     rows += [_row(x) for x in table]
     result = Result(
@@ -144,7 +149,12 @@ def report(flown: list[Flown], worlds: list[str], *, write: bool) -> None:
         flights=flown,
         keys=KEYS,
         notes={
-            "worlds_not_flown_yet": [world for world in WORLDS if world not in worlds],
+            "not_flown_yet": [
+                f"{world}: {way}"
+                for world in WORLDS
+                for way in WAYS
+                if f"{world}: {way}" not in cases
+            ],
             "table": table,
             "event_against_2_hz_with_feedback": verdict(flown, worlds),
         },
