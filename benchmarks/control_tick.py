@@ -7,13 +7,12 @@ forces are within the limits and when they are not (random changes by 40 % of a 
 """
 
 import json
-import statistics
 import time
-from collections.abc import Callable
 
 import numpy as np
 from calibration import calibration_s
 from provenance import provenance, write_report
+from timing import cpu_us
 
 from skyhaul.control.allocation import AllocationLimits, ForceLimits, distribute, wrench_weights
 from skyhaul.control.geometric import Geometric, hold_plan
@@ -30,20 +29,8 @@ from skyhaul.model import (
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.types import Array
 
-REPEATS, SEEDS = 7, 200
+SEEDS = 200
 PLACE = np.array([0.0, 0.0, 2.0])
-
-
-def cpu_us(call: Callable[[], object], count: int) -> dict[str, float]:
-    """CPU time of one call: median and spread over the repeats [us]."""
-    call()
-    rows = []
-    for _ in range(REPEATS):
-        begin = time.process_time()
-        for _ in range(count):
-            call()
-        rows.append(1e6 * (time.process_time() - begin) / count)
-    return {"median": statistics.median(rows), "min": min(rows), "max": max(rows)}
 
 
 def tick_us(n: int) -> dict[str, dict[str, float]]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flies scenarios for the benchmarks: several at once, each in a temporary run folder."""
 
+import json
 import multiprocessing
 import os
 import tempfile
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration import calibration_s
+from provenance import commit
 
 from skyhaul.evaluation.energy import EnergyModel
 from skyhaul.evaluation.metrics import Metrics, run_metrics
@@ -50,6 +52,8 @@ class Flown:
     metrics: dict[str, Any] = field(default_factory=dict)
     calibration_s: float = 0.0
     """CPU time of the calibration loop, right after the flight [s]."""
+    commit: str = ""
+    """What was checked out."""
 
     @property
     def success(self) -> bool:
@@ -57,19 +61,51 @@ class Flown:
         return bool(self.metrics.get("mission_success"))
 
 
-def fly_all(jobs: Sequence[Job], workers: int = 2) -> list[Flown]:
-    """Fly the jobs in processes of one thread each; results in the order of the jobs."""
+def fly_all(jobs: Sequence[Job], workers: int = 2, kept: Path | None = None) -> list[Flown]:
+    """Fly the jobs in processes of one thread each; results in the order of the jobs.
+
+    Args:
+        jobs: What to fly.
+        workers: Number of processes.
+        kept: File to which each flight is added once it is over, and from which those are taken
+            that it holds already; so a benchmark that was broken off goes on where it was.
+    """
     os.environ.update(dict.fromkeys(THREADS, "1"))
+    done = {} if kept is None else read_kept(kept, jobs)
+    todo = [job for job in jobs if job not in done]
     context = multiprocessing.get_context("spawn")
-    began, flown = time.perf_counter(), []
-    with context.Pool(min(workers, max(1, len(jobs)))) as pool:
-        for k, one in enumerate(pool.imap(fly_one, jobs)):
-            flown.append(one)
+    began = time.perf_counter()
+    with context.Pool(min(workers, max(1, len(todo)))) as pool:
+        for k, one in enumerate(pool.imap(fly_one, todo)):
+            done[one.job] = one
+            if kept is not None:
+                keep(kept, one)
             print(
-                f"{time.perf_counter() - began:6.0f} s  {k + 1}/{len(jobs)}  {_line(one)}",
+                f"{time.perf_counter() - began:6.0f} s  {k + 1}/{len(todo)}  {_line(one)}",
                 flush=True,
             )
-    return flown
+    return [done[job] for job in jobs]
+
+
+def keep(path: Path, flown: Flown) -> None:
+    """Add a flight to a file, one line of JSON each."""
+    line = {"job": _key(flown.job), "metrics": flown.metrics}
+    line |= {"calibration_s": flown.calibration_s, "commit": flown.commit}
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line, default=float) + "\n")
+
+
+def read_kept(path: Path, jobs: Iterable[Job]) -> dict[Job, Flown]:
+    """Those of the jobs whose flights a file holds, at whatever commit they were flown."""
+    if not path.exists():
+        return {}
+    lines = [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+    by_key = {line.pop("job"): line for line in lines}
+    return {job: Flown(job, **by_key[_key(job)]) for job in jobs if _key(job) in by_key}
+
+
+def _key(job: Job) -> str:
+    return " ".join((job.scenario, str(job.seed), str(job.movers), *job.overrides))
 
 
 def fly_one(job: Job) -> Flown:
@@ -80,7 +116,7 @@ def fly_one(job: Job) -> Flown:
         traceback.print_exc()
         reason = f"fault: {type(fault).__name__}: {fault}"
         metrics = {"mission_success": False, "outcome": reason, "program_faults": 1}
-    return Flown(job, metrics, calibration_s())
+    return Flown(job, metrics, calibration_s(), commit())
 
 
 def chosen(flown: Iterable[Flown], **wanted: object) -> list[Flown]:

@@ -6,12 +6,10 @@ the same run (5e6 iterations of pure Python).
 """
 
 import json
-import statistics
-import time
-from collections.abc import Callable
 
 import numpy as np
 from provenance import provenance, write_report
+from timing import REPEATS, cpu_us
 
 from skyhaul.geometry.distance import bounding_radius
 from skyhaul.geometry.shapes import Box, Capsule, Shape, Sphere, pose_shapes
@@ -24,20 +22,7 @@ from skyhaul.types import Array
 from skyhaul.world.obstacles import CyclicPath, Obstacle
 from skyhaul.world.scenario import AirStart, HoverTask, Scenario, World
 
-REPEATS = 7
 START = np.array([5.0, 5.0, 5.0])
-
-
-def cpu_us(call: Callable[[], object], count: int) -> dict[str, float]:
-    """CPU time of one call: median and spread over the repeats [us]."""
-    call()
-    rows = []
-    for _ in range(REPEATS):
-        begin = time.process_time()
-        for _ in range(count):
-            call()
-        rows.append(1e6 * (time.process_time() - begin) / count)
-    return {"median": statistics.median(rows), "min": min(rows), "max": max(rows)}
 
 
 def obstacles(count: int, seed: int) -> tuple[Obstacle, ...]:

@@ -57,7 +57,8 @@ def entry(flown: Flown, keys: Sequence[str]) -> dict[str, Any]:
     about = {"case": flown.job.case, "scenario": flown.job.scenario, "seed": flown.job.seed}
     about["overrides"] = list(flown.job.overrides)
     kept = ("mission_success", "outcome", *keys)
-    return about | {k: flown.metrics.get(k) for k in kept} | {"calibration_s": flown.calibration_s}
+    about |= {k: flown.metrics.get(k) for k in kept}
+    return about | {"calibration_s": flown.calibration_s, "commit": flown.commit}
 
 
 def successes(flights: Sequence[Flown]) -> str:

@@ -7,12 +7,17 @@ the same SQP iterations as on events, and, on events too, the geometric law with
 and the NMPC of the literal wrench. `figure8` and `sudden` have nothing that a seed could change, so
 they are flown once in still air and five times in turbulence. CPU seconds are those of the payload
 controller.
+
+All worlds take an hour on two cores. Flights are kept in `results/triggers.partial.jsonl`, so that
+a run that was broken off goes on, and the result is written after each world with those that are
+done (`--kept`: with the flights that are); delete that file to begin anew.
 """
 
 import statistics
 from typing import Any
 
-from fly import Flown, Job, chosen, fly_all
+from fly import Flown, Job, chosen, fly_all, read_kept
+from provenance import RESULTS
 from result_file import Result, Row, arguments, least, median, numbers, publish, spread, successes
 
 WAYS = {
@@ -105,19 +110,36 @@ def verdict(flown: list[Flown], worlds: list[str]) -> list[str]:
 
 def main() -> None:
     """Fly all ways in all worlds and write the result."""
-    args = arguments(__doc__)
+    args = arguments(__doc__, ("--kept", "fly nothing, report the flights that are kept"))
     worlds = ["figure8"] if args.quick else list(WORLDS)
-    jobs = []
+    kept = None if args.quick else RESULTS / "triggers.partial.jsonl"
+    if args.kept:
+        jobs = [job for world in worlds for job in jobs_of(world)]
+        report(list(read_kept(kept, jobs).values()) if kept else [], write=True)
+        return
+    flown: list[Flown] = []
     for world in worlds:
-        scenario, overrides, seeds = WORLDS[world]
-        jobs += [
-            Job(scenario, seed, (*overrides, *extra), case=f"{world}: {way}")
-            for way, extra in WAYS.items()
-            for seed in seeds
-        ]
-    flown = fly_all(jobs, args.workers)
+        flown += fly_all(jobs_of(world), args.workers, kept)
+        report(flown, write=not args.quick)
+    if kept is not None:
+        kept.unlink()
+
+
+def jobs_of(world: str) -> list[Job]:
+    """All ways in one world."""
+    scenario, overrides, seeds = WORLDS[world]
+    return [
+        Job(scenario, seed, (*overrides, *extra), case=f"{world}: {way}")
+        for way, extra in WAYS.items()
+        for seed in seeds
+    ]
+
+
+def report(flown: list[Flown], *, write: bool) -> None:
+    """Print what these flights show, and write the result."""
+    cases = dict.fromkeys(f.job.case for f in flown)
+    worlds = [world for world in WORLDS if any(case.startswith(f"{world}: ") for case in cases)]
     rows = [row for world in worlds for row in comparison(flown, world)]
-    cases = dict.fromkeys(job.case for job in jobs)
     table = [line(chosen(flown, case=case)) for case in cases]
     rows += [_row(x) for x in table]
     result = Result(
@@ -126,9 +148,18 @@ def main() -> None:
         rows=rows,
         flights=flown,
         keys=KEYS,
-        notes={"table": table, "event_against_2_hz_with_feedback": verdict(flown, worlds)},
+        notes={
+            "not_flown_yet": [
+                f"{world}: {way}"
+                for world in WORLDS
+                for way in WAYS
+                if f"{world}: {way}" not in cases
+            ],
+            "table": table,
+            "event_against_2_hz_with_feedback": verdict(flown, worlds),
+        },
     )
-    publish(result, write=not args.quick)
+    publish(result, write=write)
     for sentence in result.notes["event_against_2_hz_with_feedback"]:
         print(sentence)
 

@@ -26,3 +26,10 @@ def test_the_others_bring_the_load_to_the_goal_when_a_vehicle_dies(flown, name):
     assert metrics["mission_success"], metrics["outcome"]
     assert metrics["collisions"] == metrics["collisions_lost_vehicle"]
     assert metrics["triggers_fault"] >= 1
+
+
+@pytest.mark.parametrize("victim", [0, 2, 3])
+def test_it_does_not_matter_which_of_four_vehicles_dies(flown, victim):
+    metrics = flown("lost-vehicle", (f"events[0].vehicle={victim}",))
+    assert metrics["mission_success"], metrics["outcome"]
+    assert metrics["collisions"] == metrics["collisions_lost_vehicle"]

@@ -97,6 +97,21 @@ def test_sequences_of_messages_and_of_scalars_of_any_length(count: int) -> None:
     np.testing.assert_array_equal(codec("skyhaul_msgs/CableStates").decode(data)["attached"], flags)
 
 
+@pytest.mark.parametrize("name", ["a", "payload", "vehicle_0"])
+def test_a_stencil_fills_in_what_encoding_anew_would_give(name: str) -> None:
+    def odometry(numbers: list[float]) -> tuple:  # type: ignore[type-arg]
+        head = (*map(int, numbers[:2]), "world", name, *numbers[2:9])
+        return (*head, np.arange(36.0), *numbers[9:15], -np.arange(36.0))
+
+    one, other = list(np.arange(15.0)), list(np.linspace(7.0, -3.0, 15))
+    one[:2], other[:2] = (3, 4), (5, 600)
+    message = codec("nav_msgs/Odometry")
+    assert message.stencil(*odometry(one)).fill(other) == message.encode(*odometry(other))
+    tree = codec("tf2_msgs/TFMessage")
+    frames, later = ([odometry(x)[:11] for x in pair] for pair in ([one, other], [other, one]))
+    assert tree.stencil(frames).fill([*other[:9], *one[:9]]) == tree.encode(later)
+
+
 def test_a_wrong_number_of_leaves_is_refused() -> None:
     with pytest.raises(TypeError, match="has 5 leaves, got 2"):
         codec("skyhaul_msgs/Trigger").encode(1, 2)

@@ -134,3 +134,50 @@ def test_rotors_that_give_nothing_are_a_fault_within_a_tenth_of_a_second(ensembl
     assert acts[dead].release
     np.testing.assert_array_equal(acts[dead].rotor_cmd, 0.0)
     assert not any(a.release for i, a in enumerate(acts) if i != dead)
+
+
+@pytest.mark.parametrize("loss", [0.2, 0.5])
+def test_over_a_bus_that_loses_messages_everyone_soon_has_order_and_plan(
+    make_ensemble, stack, loss
+):
+    e = make_ensemble(stack, delay_ms=20.0, loss=loss)
+    crew = crew_of(e)
+    run(crew, e, 250)
+    run(crew, e, 1, first=250)
+    for agent in crew.agents[1:]:
+        assert agent.order.phase == crew.leader.order.phase
+        age_us = crew.leader.forces.message.stamp_us - agent.plan.stamp_us
+        assert age_us <= 750_000  # at most one plan behind
+
+
+@pytest.mark.parametrize("lost", [0, 2])
+def test_a_fault_that_is_lost_on_its_way_arrives_with_a_heartbeat(make_ensemble, stack, lost):
+    e = make_ensemble(stack, delay_ms=20.0, loss=0.5)
+    crew = crew_of(e)
+    run(crew, e, 60)
+    loose = [i != lost for i in range(4)]
+    run(crew, e, 150, first=60, attached=loose)
+    assert all(a.faulty == {lost} for a in crew.agents)
+    np.testing.assert_array_equal(crew.leader.active, loose)
+    assert [m.topic for m in e.notes.messages].count("fault") == 1
+
+
+def test_who_hears_of_a_loss_before_the_leader_s_plan_flies_on_without_the_lost(
+    make_ensemble, stack
+):
+    e = make_ensemble(stack, delay_ms=40.0)
+    crew = crew_of(e)
+    run(crew, e, 60)
+    loose = [True, True, False, True]
+    run(crew, e, 21, first=60, attached=loose)
+    assert crew.agents[3].faulty == {2}
+    assert crew.agents[3].plan.plan.active[2]  # the leader's next plan is still on its way
+    acts = run(crew, e, 1, first=81, attached=loose)
+    np.testing.assert_array_equal(
+        acts[3].force_W,
+        crew.agents[3]
+        ._tracking.command(
+            3, e.estimate(162_000, attached=loose), crew.agents[3]._makeshift[1], 1.0
+        )
+        .force_W[3],
+    )

@@ -29,6 +29,9 @@ READY = Status(
     at_station=True,
     station_in_s=0.0,
     on_way_s=2.5,
+    faulty=np.zeros(4, dtype=bool),
+    order_us=0,
+    plan_us=0,
 )
 
 

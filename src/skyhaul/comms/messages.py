@@ -62,6 +62,10 @@ class Order:
     since_us: TimeUs  # when the phase began
 
 
+_FLAGS = (bool, np.bool_)
+_NUMBERS = (int, float, np.integer)  # tuples: a union is made anew, and slower, at every check
+
+
 def encoded_bytes(message: object) -> int:
     """Size of a message's arrays and numbers, in the order of their CDR encoding [bytes].
 
@@ -69,13 +73,13 @@ def encoded_bytes(message: object) -> int:
     """
     if isinstance(message, np.ndarray):
         return int(message.nbytes) + 4
-    if isinstance(message, bool | np.bool_):
+    if isinstance(message, _FLAGS):
         return 1
-    if isinstance(message, int | float | np.integer):
+    if isinstance(message, _NUMBERS):
         return 8
     if isinstance(message, str):
         return len(message.encode()) + 5
-    if isinstance(message, tuple | list):
+    if isinstance(message, (tuple, list)):
         return 4 + sum(encoded_bytes(m) for m in message)
     fields = getattr(message, "__dataclass_fields__", {})
     return sum(encoded_bytes(getattr(message, name)) for name in fields)

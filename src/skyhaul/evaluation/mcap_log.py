@@ -34,11 +34,16 @@ class McapLog:
 
     def write(self, topic: str, type_name: str, t_us: TimeUs, *leaves: Any) -> None:  # noqa: ANN401
         """Log a message given as its leaves (see `ros2.cdr`), `type_name` as `package/Type`."""
+        _, encoder = self._channels.get(topic) or self._register(topic, type_name)
+        self.write_encoded(topic, type_name, t_us, encoder.encode(*leaves))
+
+    def write_encoded(self, topic: str, type_name: str, t_us: TimeUs, data: bytes) -> None:
+        """Log a message that is encoded already."""
         if t_us >= self._flushed_us + FLUSH_PERIOD_US:
             self._writer.flush()  # type: ignore[no-untyped-call]
             self._flushed_us = t_us
-        channel, encoder = self._channels.get(topic) or self._register(topic, type_name)
-        self._writer.add_message(channel, t_us * 1000, encoder.encode(*leaves), t_us * 1000)
+        channel, _ = self._channels.get(topic) or self._register(topic, type_name)
+        self._writer.add_message(channel, t_us * 1000, data, t_us * 1000)
 
     def copy(self, record: "RawRecord") -> None:
         """Log a message as another log holds it."""

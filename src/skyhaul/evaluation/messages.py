@@ -47,10 +47,14 @@ def pose(p: Array, q: Array) -> Leaves:
 
 def odometry(t_us: TimeUs, child: str, body: Array, pose_cov: Array, twist_cov: Array) -> Leaves:
     """nav_msgs/Odometry of a body state (13,), layout of `types.LOAD_P`; its v in child axes."""
-    p, q, v, w = body[0:3], body[3:7], body[7:10], body[10:13]
     return (
-        *header(t_us), child, *pose(p, q), pose_cov, *quat_inv_rotate(q, v), *w.tolist(), twist_cov,
+        *header(t_us), child, *pose(body[0:3], body[3:7]), pose_cov, *twist(body), twist_cov,
     )  # fmt: skip
+
+
+def twist(body: Array) -> Leaves:
+    """geometry_msgs/Twist of a body state (13,), in the body's axes."""
+    return *quat_inv_rotate(body[3:7], body[7:10]), *body[10:13].tolist()
 
 
 def marker(

@@ -5,6 +5,7 @@ import numpy as np
 
 from skyhaul.evaluation import messages
 from skyhaul.evaluation.mcap_log import McapLog
+from skyhaul.evaluation.ros2.cdr import Stencil, codec
 from skyhaul.geometry.quaternion import quat_rotate
 from skyhaul.mission.api import Tick
 from skyhaul.plant.api import Truth
@@ -32,6 +33,7 @@ class TeamLog:
         self._names = ["payload", *(f"vehicle_{i}" for i in range(n))]
         self._topics = [f"/{name}/odometry" for name in self._names]
         self._bodies = np.empty((1 + n, 13))
+        self._odometry, self._transforms = _stencils(self._names)
         room = scenario.world.room
         edges = messages.room_marker(room.min_m, room.max_m)
         log.write("/world/room", "visualization_msgs/MarkerArray", 0, (edges,))
@@ -57,12 +59,13 @@ class TeamLog:
         bodies[0] = team.load
         bodies[1:, 0:3], bodies[1:, 3:7] = team.p_WB, team.q_WB
         bodies[1:, 7:10], bodies[1:, 10:13] = team.v_WB, team.w_WB_B
-        frames = []
-        for name, topic, body in zip(self._names, self._topics, bodies, strict=True):
-            leaves = messages.odometry(t_us, name, body, _EXACT, _EXACT)
-            log.write(topic, "nav_msgs/Odometry", t_us, *leaves)
-            frames.append(leaves[:11])
-        log.write("/tf", "tf2_msgs/TFMessage", t_us, frames)
+        at, frames = messages.stamp(t_us), list[float]()
+        for topic, stencil, body in zip(self._topics, self._odometry, bodies, strict=True):
+            where = (*at, *messages.pose(body[0:3], body[3:7]))
+            data = stencil.fill((*where, *messages.twist(body)))
+            log.write_encoded(topic, "nav_msgs/Odometry", t_us, data)
+            frames += where
+        log.write_encoded("/tf", "tf2_msgs/TFMessage", t_us, self._transforms.fill(frames))
         estimate = tick.estimate
         cov = estimate.load_covariance
         leaves = messages.odometry(
@@ -103,6 +106,15 @@ class TeamLog:
                 moving += messages.obstacle_markers(t_us, "mover", int(j), shape, p)
         if moving:
             self._log.write("/world/movers", "visualization_msgs/MarkerArray", t_us, moving)
+
+
+def _stencils(names: list[str]) -> tuple[list[Stencil], Stencil]:
+    """Of the odometry of each body, and of the transforms of all."""
+    rest = np.zeros(13)
+    rest[3] = 1.0
+    leaves = [messages.odometry(0, name, rest, _EXACT, _EXACT) for name in names]
+    odometry = [codec("nav_msgs/Odometry").stencil(*one) for one in leaves]
+    return odometry, codec("tf2_msgs/TFMessage").stencil([one[:11] for one in leaves])
 
 
 def _ros_covariance(cov: Array, first: slice, second: slice) -> Array:

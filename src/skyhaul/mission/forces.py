@@ -41,7 +41,8 @@ from skyhaul.types import (
 )
 
 LOOK_PERIOD_US = 10_000
-"""The load is held against its plan this often; faults and new references do not wait [us]."""
+"""The load is held against its plan this often; other causes are looked for at every tick [us]."""
+_ON_PLAN = np.zeros(LOAD_NE)
 
 
 class ForcePlanning:
@@ -73,16 +74,15 @@ class ForcePlanning:
 
     def due(self, t_us: TimeUs, estimate: TeamEstimate, clearance_m: float) -> str | None:
         """Why the plan must be solved anew, or None; `clearance_m` is the least one ahead."""
-        urgent = self._fault or self._reference_changed
-        if self._pending.busy or (t_us % LOOK_PERIOD_US and not urgent):
+        if self._pending.busy:
             return None
         if self.message is None:
             return "start"
-        plan = self.message.plan
+        plan, look = self.message.plan, t_us % LOOK_PERIOD_US == 0
         view = SolveView(
             age_s=(t_us - plan.stamp_us) / US_PER_S,
             plan_s=float(plan.node_s[-1]),
-            error=self._error(t_us, estimate.team.load),
+            error=self._error(t_us, estimate.team.load) if look else _ON_PLAN,
             clearance_m=clearance_m,
             reference_changed=self._reference_changed,
             fault=self._fault,

@@ -8,8 +8,9 @@ primitives are arrays; a sequence of messages is a sequence of leaf tuples.
 
 import struct
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,10 +44,55 @@ class Codec:
             i = op(out, leaves, i)
         return bytes(out)
 
+    def stencil(self, *leaves: Any) -> "Stencil":  # noqa: ANN401
+        """Encodes messages that differ from this one in their single numbers only."""
+        out, spots = bytearray(HEADER), list[_Spot]()
+        _trace(self._ops, out, leaves, spots)
+        return Stencil(bytes(out), tuple(spots))
+
     def decode(self, data: bytes) -> dict[str, Any]:
         """Decode to nested dictionaries by field name; arrays come as NumPy arrays."""
         message, _ = _read_message(self.type_name, data, len(HEADER))
         return message
+
+
+class _Spot(NamedTuple):
+    """Where a run of single numbers stands in a message."""
+
+    at: int
+    form: struct.Struct
+    n: int
+
+
+@dataclass(frozen=True)
+class Stencil:
+    """A message whose texts, arrays and lengths are fixed; see `Codec.stencil`."""
+
+    message: bytes
+    spots: tuple[_Spot, ...]
+
+    def fill(self, numbers: Sequence[float]) -> bytes:
+        """The message with these single numbers, in the order of their leaves."""
+        out, k = bytearray(self.message), 0
+        for at, form, n in self.spots:
+            form.pack_into(out, at, *numbers[k : k + n])
+            k += n
+        return bytes(out)
+
+
+def _trace(ops: Sequence[Op], out: bytearray, leaves: Leaves, spots: list[_Spot]) -> None:
+    """Encode, noting where runs of single numbers come to stand."""
+    i = 0
+    for op in ops:
+        if isinstance(op, _Scalars):
+            spots.append(_Spot(len(out), op.form(out), op.count))
+        if isinstance(op, _Messages):
+            _put_count(out, leaves[i])
+            for message in leaves[i]:
+                _trace(op.ops, out, message, spots)
+            i += 1
+        else:
+            i = op(out, leaves, i)
 
 
 @cache
@@ -65,11 +111,11 @@ def _program(type_name: str) -> tuple[list[Op], int]:
             run += PRIMITIVES[f.base]
             continue
         if run:
-            ops.append(_write_scalars(run))
+            ops.append(_Scalars(run))
             run = ""
         ops.append(_write_op(f))
     if run:
-        ops.append(_write_scalars(run))
+        ops.append(_Scalars(run))
     return ops, len(leaves)
 
 
@@ -86,7 +132,7 @@ def _leaf_fields(type_name: str) -> list[Field]:
 
 def _write_op(f: Field) -> Op:
     if "/" in f.base:
-        return _write_messages(f.base)
+        return _Messages(f.base)
     if f.base == "string":
         return _write_string if f.length is None else _write_strings
     assert f.length is not None, "scalars are written in runs"
@@ -103,15 +149,20 @@ def _aligned(codes: str, start: int) -> struct.Struct:
     return struct.Struct(text)
 
 
-def _write_scalars(codes: str) -> Op:
-    formats = tuple(_aligned(codes, k) for k in range(8))
-    n = len(codes)
+class _Scalars:
+    """Writes consecutive single numbers."""
 
-    def write(out: bytearray, leaves: Leaves, i: int) -> int:
-        out += formats[(len(out) - 4) & 7].pack(*leaves[i : i + n])
-        return i + n
+    def __init__(self, codes: str) -> None:
+        self._forms = tuple(_aligned(codes, k) for k in range(8))
+        self.count = len(codes)
 
-    return write
+    def form(self, out: bytearray) -> struct.Struct:
+        """Their format behind what is written already."""
+        return self._forms[(len(out) - 4) & 7]
+
+    def __call__(self, out: bytearray, leaves: Leaves, i: int) -> int:
+        out += self._forms[(len(out) - 4) & 7].pack(*leaves[i : i + self.count])
+        return i + self.count
 
 
 def _write_string(out: bytearray, leaves: Leaves, i: int) -> int:
@@ -146,18 +197,23 @@ def _write_array(code: str, length: int) -> Op:
     return write
 
 
-def _write_messages(type_name: str) -> Op:
-    ops, _ = _program(type_name)
+class _Messages:
+    """Writes a sequence of messages."""
 
-    def write(out: bytearray, leaves: Leaves, i: int) -> int:
-        out += _COUNT[(len(out) - 4) & 7].pack(len(leaves[i]))
+    def __init__(self, type_name: str) -> None:
+        self.ops, _ = _program(type_name)
+
+    def __call__(self, out: bytearray, leaves: Leaves, i: int) -> int:
+        _put_count(out, leaves[i])
         for message in leaves[i]:
             k = 0
-            for op in ops:
+            for op in self.ops:
                 k = op(out, message, k)
         return i + 1
 
-    return write
+
+def _put_count(out: bytearray, items: Sequence[Any]) -> None:
+    out += _COUNT[(len(out) - 4) & 7].pack(len(items))
 
 
 def _read_message(type_name: str, data: bytes, at: int) -> tuple[dict[str, Any], int]:
