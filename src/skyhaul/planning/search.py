@@ -169,11 +169,11 @@ def search(
     two equal voxels, the one nearer to the goal goes first; the path is the shortest but for
     that share.
     """
-    n1, n2 = layer.clearance.shape[1], layer.clearance.shape[2]
+    shape = layer.clearance.shape
+    n1, n2 = shape[1], shape[2]
     keys, cells, scratch = np.empty(4096), np.empty(4096, np.int64), np.empty(3)
     field, mark_of, cost_of = layer.clearance.ravel(), w.mark, w.cost
     room = _room_cells(m, layer, rules.clearance)
-    shape = layer.clearance.shape
     goal_index = (goal[0] * n1 + goal[1]) * n2 + goal[2]
     first = (start[0] * n1 + start[1]) * n2 + start[2]
     w.mark[first] |= _FREE
@@ -217,10 +217,8 @@ def search(
                 w.way[near] = way
             cost_of[near] = cost
             mark_of[near] = (mark & ~_PARENT) | (s + 1)
-            ahead = 0.0
-            if rules.informed:
-                di, dj, dk = goal[0] - i - di, goal[1] - j - dj, goal[2] - k - dk
-                ahead = heuristic(di, dj, dk, rules.octile)
+            di, dj, dk = goal[0] - i - di, goal[1] - j - dj, goal[2] - k - dk
+            ahead = heuristic(di, dj, dk, rules.octile) if rules.informed else 0.0
             count = _push(keys, cells, count, cost + ahead * (1.0 + 1e-9), near)
     return NO_PATH, expanded
 
