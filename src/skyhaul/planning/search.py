@@ -203,9 +203,7 @@ def search(
             di, dj, dk = w.step[s, 0], w.step[s, 1], w.step[s, 2]
             near = cell + (di * n1 + dj) * n2 + dk
             mark = mark_of[near]
-            if mark & _CLOSED:
-                continue
-            if mark & _PARENT and here + w.length[s] >= cost_of[near]:
+            if mark & _CLOSED or (mark & _PARENT and here + w.length[s] >= cost_of[near]):
                 continue
             cost = here + w.length[s] * price(float(field[near]), rules)
             if mark & _PARENT and cost >= cost_of[near]:
