@@ -21,7 +21,7 @@ from skyhaul.world.scenario import GoTo
 SEEDS, HELD_OUT = range(10), range(1000, 1010)
 STILL = "paper without movers"
 NEAR_M = 1.5
-"""The goal begins here: half a metre beyond where a team waits for a goal that is taken."""
+"""The goal begins here: a team waits for a goal that is taken within 1.4 m of it (`post_m`)."""
 TIME_BAR, PATH_BAR, RMSE_BAR_M = 1.5, 1.3, 0.05
 KEYS = (
     *("mission_time_s", "lift_off_s", "near_goal_s", "time_ratio", "whole_time_ratio"),

@@ -102,7 +102,7 @@ class TakeOffParams(Params):
 
     tauten_s: float = 0.6
     """From the stations until all cables are known to be taut [s]."""
-    rise_s: float = 0.3
+    rise_s: float = 0.4
     """From the first pull at full weight until the load leaves the floor [s]."""
     dodge_s: float = 0.8
     """From then on it takes this long to be on another course [s]."""

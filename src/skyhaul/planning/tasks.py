@@ -18,8 +18,8 @@ TASK_DT_US = 100_000
 """Knot spacing of the splines through circles and eights [us]."""
 LEG_DT_US = 300_000
 """Knot spacing of straight legs [us]."""
-LIFT_DT_US = 200_000
-"""Knot spacing of a lift-off: it is short, and slow, and nothing hangs on its snap [us]."""
+LIFT_DT_US = 270_000
+"""Knot spacing of a lift-off: the shortest that keeps its jerk within the limit [us]."""
 
 
 def task_reference(
