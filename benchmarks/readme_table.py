@@ -71,13 +71,17 @@ def headlines(results: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def everything(results: dict[str, dict[str, Any]]) -> str:
-    """docs/results.md: every file's claim, its rows and the commit they were measured at."""
+    """docs/results.md: every file's claim, commit, remarks and rows."""
     parts = [
         "# Results\n\nAll rows of `benchmarks/results/`, made by the benchmarks of the same names."
     ]
     for name, result in results.items():
         about = f"{result['claim']}. Measured at `{result['commit']}`."
-        parts.append(f"## {name}\n\n{about}\n\n{table(result['rows'])}")
+        remarks = [f"{remark}." for remark in result.get("remarks", ())]
+        if result.get("not_flown_yet"):
+            remarks.append(f"Not flown yet: {', '.join(result['not_flown_yet'])}.")
+        text = "\n\n".join([about, *remarks, table(result["rows"])])
+        parts.append(f"## {name}\n\n{text}")
     return "\n\n".join(parts) + "\n"
 
 

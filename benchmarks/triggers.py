@@ -101,7 +101,8 @@ def verdict(flown: list[Flown], worlds: list[str]) -> list[str]:
         both = [chosen(flown, case=f"{world}: {way}") for way in ways]
         done = " and ".join(successes(flights) for flights in both)
         clear = [least(flights, "min_clearance_m") for flights in both]
-        text = f"{world}: on events {solves:+.0f} % solves, {rmse:+.0f} % RMSE; done {done}"
+        text = f"`{world}`, on events against 2 Hz + feedback: {solves:+.0f} % solves, "
+        text += f"{rmse:+.0f} % RMSE; done {done}"
         if None not in clear:
             text += f"; least clearance {clear[0]:.3f} and {clear[1]:.3f} m"
         out.append(text)
@@ -156,11 +157,11 @@ def report(flown: list[Flown], *, write: bool) -> None:
                 if f"{world}: {way}" not in cases
             ],
             "table": table,
-            "event_against_2_hz_with_feedback": verdict(flown, worlds),
+            "remarks": verdict(flown, worlds),
         },
     )
     publish(result, write=write)
-    for sentence in result.notes["event_against_2_hz_with_feedback"]:
+    for sentence in result.notes["remarks"]:
         print(sentence)
 
 
