@@ -31,6 +31,7 @@ from skyhaul.sensors.rig import CameraMount, EventCameraMount, RigParams
 from skyhaul.world.load import load_config
 
 STEPS = 120
+pytestmark = pytest.mark.timeout(1200)  # the first run compiles the ray caster
 BLIND = RigParams(cameras=(), event_camera=None)
 SMALL = RigParams(
     cameras=(
