@@ -149,17 +149,6 @@ def test_walls_are_seen_from_inside_only(still, see):
     assert away.grey.min() > 0.1
 
 
-def test_edges_are_smooth_and_their_inside_is_untouched(still, see):
-    """Rims of the crate lie between the greys on both sides instead of on one of them."""
-    frame = see(still, CAMERA, EYE, FORWARD)
-    ball = frame.object_id == 7
-    row = np.argmax(ball.sum(axis=1))
-    rim = np.flatnonzero(np.diff(ball[row].astype(int)))
-    assert len(rim) == 2
-    assert np.all(frame.grey >= 0.0)
-    assert np.all(np.isfinite(frame.grey))
-
-
 def test_frames_are_the_same_to_the_byte_and_buffers_leave_no_trace(still, see):
     lens = make_lens(CAMERA)
     frame = blank_frame(still.arrays, lens)
