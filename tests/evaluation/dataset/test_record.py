@@ -31,6 +31,7 @@ from skyhaul.sensors.rig import CameraMount, EventCameraMount, RigParams
 from skyhaul.world.load import load_config
 
 STEPS = 120
+pytestmark = pytest.mark.timeout(1200)  # the first run compiles the ray caster
 BLIND = RigParams(cameras=(), event_camera=None)
 SMALL = RigParams(
     cameras=(
@@ -67,7 +68,8 @@ def flights(monkeypatch):
         rotors = plant.truth().rotor_thrust
         recorder.tick(SimpleNamespace(truth=plant.truth()))
         for k in range(STEPS):
-            truth = plant.step(rotors * (1.0 + 0.1 * np.sin(0.1 * k)))
+            roll = np.array([1.0, 1.0, -1.0, -1.0])
+            truth = plant.step(rotors * (1.0 + 0.1 * np.sin(0.1 * k) + 0.02 * roll))
             recorder.tick(SimpleNamespace(truth=truth))
         outcome = Outcome(True, state.reason, 0, {}, 0.0)
         recorder.close(outcome)
@@ -124,8 +126,9 @@ def test_exact_imu_tables_lead_along_the_ground_truth(flights, tmp_path) -> None
         p, v = p + 0.002 * v + 2e-6 * a, v + 0.002 * a
         q = np.array(quat_mul(tuple(q), quat_exp(0.002 * w)))
     assert np.linalg.norm(truth[-1, 7:10]) > 0.01
-    np.testing.assert_allclose(p, truth[-1, :3], atol=1e-7)
-    np.testing.assert_allclose(v, truth[-1, 7:10], atol=1e-10)
+    assert np.linalg.norm(samples[-1, :3]) > 0.1
+    np.testing.assert_allclose(p, truth[-1, :3], rtol=0.0, atol=3e-6)
+    np.testing.assert_allclose(v, truth[-1, 7:10], rtol=0.0, atol=1e-10)
     assert abs(q @ truth[-1, 3:7]) == pytest.approx(1.0, abs=1e-12)
     assert np.all(truth[:, 10:] == 0.0)
 
