@@ -62,7 +62,7 @@ def test_noise_is_that_of_many_noisy_runs(case):
     rng = np.random.default_rng(4)
     *clean, _, Q = run(x, R_WI, samples)
     errors = []
-    for _ in range(4000):
+    for _ in range(1500):
         noisy = samples.copy()
         root = np.sqrt(samples[:, :1])
         noisy[:, 1:4] += NOISE[0] / root * rng.normal(size=(30, 3))
@@ -71,7 +71,7 @@ def test_noise_is_that_of_many_noisy_runs(case):
     # Biases walk besides; over so short a time they add nothing to p, R and v that shows here.
     sampled, sigma = np.cov(np.array(errors).T), np.sqrt(np.diag(Q)[:9])
     np.testing.assert_allclose(
-        sampled / np.outer(sigma, sigma), Q[:9, :9] / np.outer(sigma, sigma), atol=0.08
+        sampled / np.outer(sigma, sigma), Q[:9, :9] / np.outer(sigma, sigma), atol=0.12
     )
 
 

@@ -62,11 +62,13 @@ class WindowParams(Params):
     """RMS error that a new landmark's sights may have, in standard deviations."""
     depth_m: tuple[float, float] = (0.2, 50.0)
     """Depths at which landmarks may lie [m]."""
+    most: int = 60
+    """Landmarks that a keyframe may see; further tracks wait until one of them is lost."""
     misses: int = 2
     """A track that disagrees this often in a row is taken for another point."""
 
     def __post_init__(self) -> None:
-        for name in ("keyframes", "iterations", "least_sights", "misses"):
+        for name in ("keyframes", "iterations", "least_sights", "most", "misses"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be >= 1, got {getattr(self, name)}")
         if not 0.0 < self.depth_m[0] < self.depth_m[1]:
@@ -237,32 +239,25 @@ def _see(setting: Setting, window: Window, frame: TrackFrame, agrees: Mask, know
 
 
 def _add_landmarks(setting: Setting, window: Window) -> Window:
-    """Tracks seen from far enough apart become landmarks."""
+    """Tracks seen from far enough apart become landmarks, the longest first."""
     params, rig = setting.params, setting.rig
     noise, T_IC = sight_noise(params.robust, setting.sigma), camera_poses(rig)
     values, factors = gtsam.Values(window.values), list(window.factors)
     tracks, landmarks = dict(window.tracks), dict(window.landmarks)
-    poses = {k: values.atPose3(X(k)) for k in range(window.oldest, window.newest + 1)}
-    R_WI = {k: pose.rotation().matrix() for k, pose in poses.items()}
-    p_WI = {k: pose.translation() for k, pose in poses.items()}
+    states = {k: values.atPose3(X(k)) for k in range(window.oldest, window.newest + 1)}
+    poses = {k: (T.rotation().matrix(), T.translation()) for k, T in states.items()}
     following = window.next_landmark
-    for track_id, track in window.tracks.items():
-        if track.landmark != NO_LANDMARK or len(track.sights) < params.least_sights:
-            continue
-        ks = [s.k for s in track.sights]
-        R_WC = np.array([R_WI[k] @ rig.R_IC[track.camera] for k in ks])
-        p_WC = np.array([p_WI[k] + R_WI[k] @ rig.p_IC[track.camera] for k in ks])
-        point = locate(R_WC, p_WC, np.array([s.xy for s in track.sights]))
-        if point.parallax_rad < params.parallax_rad:
-            continue
-        if not params.depth_m[0] < point.depth_m < params.depth_m[1]:
-            continue
-        if point.error > params.fit * np.sqrt(2.0) * setting.sigma:
+    room = params.most - sum(t.landmark != NO_LANDMARK for t in window.tracks.values())
+    for track_id, track in sorted(window.tracks.items(), key=_longest_first):
+        if following - window.next_landmark >= room:
+            break
+        p_WP = _point_of(setting, track, poses) if track.landmark == NO_LANDMARK else None
+        if p_WP is None:
             continue
         key = L(following)
         following += 1
-        values.insert(key, point.p_WP)
-        factors.append(point_prior(key, point.p_WP))
+        values.insert(key, p_WP)
+        factors.append(point_prior(key, p_WP))
         factors += [sight_factor(s.xy, noise, s.k, key, T_IC[track.camera]) for s in track.sights]
         tracks[track_id] = replace(track, landmark=key)
         landmarks[key] = window.newest
@@ -274,6 +269,28 @@ def _add_landmarks(setting: Setting, window: Window) -> Window:
         landmarks=landmarks,
         next_landmark=following,
     )
+
+
+def _point_of(
+    setting: Setting, track: Track, poses: Mapping[int, tuple[Array, Array]]
+) -> Array | None:
+    """Where a track's point is, (3,) [m], or None while its sights do not hold it."""
+    params, rig = setting.params, setting.rig
+    if len(track.sights) < params.least_sights:
+        return None
+    R_WI = np.array([poses[s.k][0] for s in track.sights])
+    p_WI = np.array([poses[s.k][1] for s in track.sights])
+    R_WC, p_WC = R_WI @ rig.R_IC[track.camera], p_WI + R_WI @ rig.p_IC[track.camera]
+    point = locate(R_WC, p_WC, np.array([s.xy for s in track.sights]))
+    held = point.parallax_rad >= params.parallax_rad
+    near = params.depth_m[0] < point.depth_m < params.depth_m[1]
+    fits = point.error <= params.fit * np.sqrt(2.0) * setting.sigma
+    return point.p_WP if held and near and fits else None
+
+
+def _longest_first(item: tuple[int, Track]) -> tuple[int, int]:
+    """Sorting key of tracks."""
+    return -len(item[1].sights), item[0]
 
 
 def _solve(setting: Setting, window: Window) -> Window:
