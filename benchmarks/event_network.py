@@ -38,7 +38,7 @@ from skyhaul.types import Array
 
 GOOD_DAY_S = 0.12
 DATA = Path(os.environ.get("SKYHAUL_DATA", "../shared/data"))
-REPEATS = 3
+REPEATS = 9
 EXACT_EVENTS = 6_000
 CHUNK = 1_500  # events, 10 ms at 150 k/s
 Stream = tuple[EventLens, EventReading, Array]
@@ -78,18 +78,19 @@ def recorded(name: str) -> Stream:
     return lens, events, turn
 
 
-def timed(network: EventNetwork, stream: Stream) -> tuple[float, Work]:
-    """CPU time of a stream in chunks [s], the best of some repeats, and what was done."""
+def timed(network: EventNetwork, stream: Stream, repeats: int) -> tuple[Array, Work]:
+    """CPU times of a stream in chunks and of the calibration loop before each, (repeats, 2) [s]."""
     lens, events, turn = stream
-    best, work = np.inf, Work()
-    for _ in range(REPEATS):
+    times, work = [], Work()
+    for _ in range(repeats):
+        calibration = calibration_s()
         memory = network.init(lens)
         begin = time.process_time()
         for a in range(0, len(events.t_us), CHUNK):
             memory, _ = network.step(memory, part(events, a, a + CHUNK), turn[a : a + CHUNK])
-        best = min(best, time.process_time() - begin)
+        times.append((time.process_time() - begin, calibration))
         work = network.work(memory)
-    return best, work
+    return np.array(times), work
 
 
 def difference(weights: NetworkWeights, stream: Stream) -> float:
@@ -112,20 +113,22 @@ def cases_of(weights: NetworkWeights, stream: Stream) -> dict[str, dict[str, Any
         "pruned": EventNetwork(whole),
         "skipped and pruned": EventNetwork(weights),
     }
-    before = calibration_s()
-    done = {way: timed(network, stream) for way, network in ways.items()}
-    calibration = 0.5 * (before + calibration_s())
-    return {way: case(seconds, work, calibration) for way, (seconds, work) in done.items()}
+    return {
+        way: case(*timed(network, stream, REPEATS if way == "all evaluated" else 2))
+        for way, network in ways.items()
+    }
 
 
-def case(seconds: float, work: Work, calibration: float) -> dict[str, Any]:
-    """Figures of one measurement."""
-    rate = work.evaluated / seconds
+def case(times: Array, work: Work) -> dict[str, Any]:
+    """Figures of one measurement: medians over the repeats."""
+    rate = work.evaluated / times[:, 0]
+    scaled = rate * times[:, 1] / GOOD_DAY_S
     return {
         "events": work.events,
-        "evaluated_per_cpu_s": rate,
-        "calibration_s": calibration,
-        "scaled_per_s": rate * calibration / GOOD_DAY_S,
+        "evaluated_per_cpu_s": float(np.median(rate)),
+        "calibration_s": float(np.median(times[:, 1])),
+        "scaled_per_s": float(np.median(scaled)),
+        "scaled_range_per_s": [float(scaled.min()), float(scaled.max())],
         "skipped_fraction": work.skipped_fraction,
         "lonely": work.lonely,
         "refractory": work.refractory,
