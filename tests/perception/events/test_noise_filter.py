@@ -63,6 +63,19 @@ def test_a_pixel_that_stops_flickering_is_heard_again():
     assert np.all(why[-300:] != FLICKER)
 
 
+def test_a_lamp_that_fires_more_than_once_a_beat_is_a_lamp_too():
+    rows = light(100.0) + [(t + 300, x, y, p) for t, x, y, p in light(100.0)]
+    why = sorted_out(reading(rows))
+    assert np.all(why[16 * (NoiseFilter().flicker_repeats + 2) :] == FLICKER)
+
+
+def test_what_darkens_long_after_a_lamp_went_out_is_no_flicker():
+    later = [(900_000 + 10 * d, 30 + d % 2, 25 + d // 2, -1) for d in range(4)]
+    why = sorted_out(reading(light(100.0) + later))
+    assert why[-5] == FLICKER
+    assert np.all(why[-4:] != FLICKER)
+
+
 def test_an_image_of_start_is_dropped_and_what_follows_is_not():
     start = [(0, x, y, 1) for x in range(W) for y in range(H)]
     why = sorted_out(reading(start + [(t + 9000, x, y, p) for t, x, y, p in edge()]))
