@@ -6,14 +6,11 @@ EuRoC V1_02: windows of 1 s, 0.25 s apart, over the whole flight, started from t
 """
 
 import argparse
-import json
-import platform
-import sys
 from pathlib import Path
 
 import numpy as np
-from calibration import calibration_s
-from result_file import RESULTS, commit
+from provenance import provenance, write_report
+from result_file import Row
 
 from skyhaul.geometry.quaternion import quat_conj, quat_log, quat_mul, quat_normalize
 from skyhaul.perception.vio.api import NavState
@@ -23,7 +20,7 @@ from skyhaul.types import Array
 
 EPOCH_NS = 1403715523912143104
 WINDOW, EVERY = 200, 50  # rows of the truth, 5 ms each
-BARS = {"position_m": 0.03, "velocity_mps": 0.05, "attitude_deg": 0.15}
+BARS = {"place": ("m", 0.03), "velocity": ("m/s", 0.05), "attitude": ("deg", 0.15)}
 
 
 def read(file: Path) -> tuple[Array, Array]:
@@ -61,24 +58,20 @@ def main() -> None:
     stamps, truth = read(folder / "V1_02_medium_truth.csv")
     reading = ImuReading(imu_us, imu[:, :3].copy(), imu[:, 3:].copy())
     errors = window_errors(reading, stamps, truth)
-    rows = {}
-    for column, (name, bar) in zip(errors.T, BARS.items(), strict=True):
+    rows = []
+    for column, (name, (unit, bar)) in zip(errors.T, BARS.items(), strict=True):
         p50, p90 = (float(np.percentile(column, q)) for q in (50, 90))
-        rows[name] = {"median": p50, "p90": p90, "bar": bar, "met": p50 <= bar}
-        print(f"{name}: median {p50:.4f}, 90 % {p90:.4f}  [bar {bar}]")
+        rows.append(Row(f"EuRoC V1_02, IMU alone over 1 s: {name}, median", p50, unit, f"<= {bar}"))
+        rows.append(Row(f"the same, 90 %: {name}", p90, unit))
+    for row in rows:
+        print(f"{row.measure}: {row.value:.4f} {row.unit}  [{row.bar}]")
     report = {
-        "claim": (__doc__ or "").splitlines()[0],
+        "claim": (__doc__ or "").splitlines()[0].removeprefix("Claim: ").rstrip("."),
+        "rows": [vars(row) for row in rows],
         "windows": len(errors),
-        **rows,
-        "calibration_5e6_python_iterations_s": calibration_s(),
-        "machine": platform.platform(),
-        "python": sys.version.split()[0],
-        "commit": commit(),
+        **provenance(),
     }
-    RESULTS.mkdir(exist_ok=True)
-    path = RESULTS / "imu_windows.json"
-    path.write_text(json.dumps(report, indent=2) + "\n", "utf-8")
-    print(f"-> {path}")
+    print(f"-> {write_report('imu_windows', report)}")
 
 
 if __name__ == "__main__":
