@@ -51,6 +51,14 @@ def test_images_come_back_pixel_by_pixel_under_their_stamps(written, made) -> No
             np.testing.assert_array_equal(image, frame.image)
 
 
+def test_an_image_never_goes_over_another(made, tmp_path) -> None:
+    first = made.readings[0]
+    with EurocWriter(tmp_path / "set", made.known, "vehicle_0") as writer:
+        writer.add(*first)
+        with pytest.raises(FileExistsError):
+            writer.add(*first)
+
+
 def test_samples_come_back_to_the_last_bit(written, made) -> None:
     folder, (t_us, states, bias) = written
     stamps, values = read_table(folder / "mav0" / "imu0" / "data.csv")

@@ -117,7 +117,8 @@ class EurocWriter:
     def _add_frame(self, frame: CameraFrame) -> None:
         name = f"{1000 * frame.stamp_us}.png"
         path = self._mav / f"cam{frame.camera}" / "data" / name
-        path.write_bytes(png_bytes(frame.image))
+        with path.open("xb") as file:  # never over an image that is there
+            file.write(png_bytes(frame.image))
         self._cameras[frame.camera].write(f"{1000 * frame.stamp_us},{name}\n")
 
     def _add_tension(self, file: TextIO, reading: LoadCellReading) -> None:
