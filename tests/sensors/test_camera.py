@@ -17,7 +17,6 @@ from skyhaul.model.team import Team
 from skyhaul.plant.api import PLANT_STEP_US, Truth
 from skyhaul.sensors.camera import camera_pose, cameras
 from skyhaul.sensors.imaging.scene import build_scene
-from skyhaul.sensors.imaging.wares import TAG_CELLS, TAG_FAMILY
 from skyhaul.sensors.rig import CameraMount, RigParams
 from skyhaul.world.scenario import Light, LightChange, World
 
@@ -113,9 +112,9 @@ def test_the_down_camera_finds_the_tag_and_where_it_is(hall):
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     parameters.cornerRefinementWinSize = 3
-    dictionary = cv2.aruco.getPredefinedDictionary(TAG_FAMILY)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_25h9)
     detector = cv2.aruco.ArucoDetector(dictionary, parameters)
-    half = 0.1 * (TAG_CELLS - 2) / TAG_CELLS
+    half = 0.5 * hall.tag.edge_m
     corners_L = np.array(
         [[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]]
     )

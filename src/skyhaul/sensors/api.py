@@ -173,6 +173,23 @@ class VehicleCalibration:
 
 
 @dataclass(frozen=True, eq=False)
+class TagCalibration:
+    """What an estimator may know of the tag on the load.
+
+    T axes: origin in the tag's middle; as one reads the tag, x right, y up, z towards the reader.
+    """
+
+    family: str  # "tag25h9": AprilTag 25h9
+    id: int
+    edge_m: float  # of the black square, its border included [m]
+    p_LT: Array  # (3,) [m]
+    R_LT: Array  # (3, 3)
+
+    def __post_init__(self) -> None:
+        frozen(self.p_LT, self.R_LT)
+
+
+@dataclass(frozen=True, eq=False)
 class SensorTruth:
     """What a vehicle's sensors know and do not tell. Only training and evaluation read it."""
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 
 from skyhaul.model.team import Team
 from skyhaul.params import Params
-from skyhaul.sensors.api import VehicleCalibration
+from skyhaul.sensors.api import TagCalibration, VehicleCalibration
 from skyhaul.sensors.camera import cameras
 from skyhaul.sensors.events.camera import EventParams, event_camera
 from skyhaul.sensors.faults import SensorFault, check_faults
+from skyhaul.sensors.imaging.plate import tag_on
 from skyhaul.sensors.imaging.scene import Scene, build_scene
 from skyhaul.sensors.imu import Imu, imu_bank
 from skyhaul.sensors.load_cell import LoadCell
@@ -53,6 +54,10 @@ class SensorsConfig(Params):
         """What an estimator may know of a vehicle's sensors."""
         rate_hz = self.load_cell.rate_hz if self.load_cell else None
         return VehicleCalibration(self.imu.calibration(), self.rig.calibration(), rate_hz)
+
+    def tag(self, team: Team) -> TagCalibration | None:
+        """What an estimator may know of the tag on the load; None without one."""
+        return tag_on(team.payload)
 
     def vehicle_suite(self, team: Team, world: World, vehicle: int) -> VehicleSuite:
         """All sensors of one vehicle."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from skyhaul.errors import FileError
 
 FLIGHT, TRACK, MANIFEST, LOG = "flight", "truth.npz", "record.json", "log.mcap"
-PAYLOAD = "payload"
+PAYLOAD, TAG = "payload", "tag.yaml"
 DATA = "data.csv"
 SENSOR = "sensor.yaml"
 TRUTH = "state_groundtruth_estimate0"

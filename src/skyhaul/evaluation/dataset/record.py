@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from skyhaul.errors import FileError
-from skyhaul.evaluation.dataset import layout
+from skyhaul.evaluation.dataset import calibration, layout
 from skyhaul.evaluation.dataset.euroc import EurocWriter, imu_only
 from skyhaul.evaluation.dataset.sensor_log import Body, write_sensor_log
 from skyhaul.evaluation.dataset.workers import run_all
@@ -111,6 +111,9 @@ def simulate(job: BodyJob, show: Callable[[float], None]) -> None:
             truth = replay.imu_truth(job.vehicle)
             states = np.column_stack([truth.p_WI, truth.q_WI, truth.v_WI])
             writer.add_truth(truth.t_us, states, bias)
+        tag = job.config.sensors.tag(job.config.team)
+        if job.vehicle is None and tag is not None:
+            (part / layout.TAG).write_text(calibration.tag_yaml(tag), "utf-8")
         part.replace(folder)
 
 
