@@ -3,6 +3,7 @@
 
 import hashlib
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import cv2
@@ -90,9 +91,17 @@ def test_seed_camera_vehicle_and_time_each_have_their_own_noise(hall):
     """The same view twice differs by noise alone, and by about as much as two noises."""
     one, other = film(0, hall), film(0, hall, seed=4)
     assert np.array_equal(one[0].image, film(0, hall)[0].image)
+    twins = RigParams(cameras=(RIG.cameras[0], replace(RIG.cameras[0], name="b")))
+    place = truth_at(0).team.p_WB
+    images = []  # of two cameras in one place, first on vehicle 0, then on vehicle 1
+    for vehicle in (0, 1):
+        rig = cameras(twins, hall, LIGHT, vehicle, 4)
+        truth = truth_at(rig.lag_us)
+        truth.team.p_WB[:2] = place[1::-1] if vehicle else place[:2]
+        images += rig.step(rig.init(3), truth)[1]
     pairs = [(one[0], other[0]), (one[0], one[2])]
+    pairs += [(images[0], images[1]), (images[0], images[2]), (images[1], images[3])]
     for a, b in pairs:
-        assert a.camera == b.camera
         difference = a.image.astype(float) - b.image
         assert 0.5 < difference.std() < 8.0
 

@@ -9,7 +9,7 @@ import pytest
 
 from skyhaul.errors import ConfigError
 from skyhaul.mission.config import RunConfig
-from skyhaul.sensors.api import CameraFrame, EventLabels, EventReading, ImuReading, VehicleReading
+from skyhaul.sensors.api import CameraFrame, EventReading, ImuReading, VehicleReading
 from skyhaul.sensors.faults import (
     ClockOffset,
     DroppedFrames,
@@ -21,6 +21,7 @@ from skyhaul.sensors.faults import (
 )
 from skyhaul.sensors.flicker import Flicker
 from skyhaul.sensors.script import script_of
+from skyhaul.sensors.truth_api import EventLabels
 from skyhaul.world.load import load_config
 
 CAMERAS = ("front", "rear")

@@ -12,6 +12,7 @@ import pytest
 from skyhaul.geometry.camera import Equidistant, RadTan
 from skyhaul.model.team import Team
 from skyhaul.plant.mujoco_plant import MujocoPlant
+from skyhaul.sensors import config
 from skyhaul.sensors.config import SensorsConfig
 from skyhaul.sensors.faults import ImuGap
 from skyhaul.sensors.load_cell import LoadCell
@@ -104,6 +105,18 @@ def test_two_worker_processes_give_the_same_bytes(track, tmp_path) -> None:
         there = [f.result() for f in futures]
     assert there == [alone(track, i) for i in range(4)]
     assert len(set(there)) == 4
+
+
+def test_nothing_is_painted_when_nobody_looks(monkeypatch) -> None:
+    def paint(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(config, "build_scene", paint)
+    blind = replace(SENSORS, rig=RigParams(cameras=(), event_camera=None))
+    assert blind.vehicle_suite(Team(), World(), 0).sensors.cameras is None
+    assert len(blind.team_suite(Team(), World()).vehicles) == 4
+    with pytest.raises(AssertionError):
+        SENSORS.vehicle_suite(Team(), World(), 0)
 
 
 def test_faults_hit_only_whom_they_name(track) -> None:

@@ -4,14 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from skyhaul.sensors.api import (
-    CameraFrame,
-    EventLabels,
-    EventReading,
-    GreyImage,
-    ImuReading,
-    VehicleReading,
-)
+from skyhaul.sensors.api import CameraFrame, EventReading, GreyImage, ImuReading, VehicleReading
 from skyhaul.sensors.faults import (
     ClockOffset,
     DroppedFrames,
@@ -28,6 +21,7 @@ from skyhaul.sensors.faults import (
 from skyhaul.sensors.flicker import Flicker, mixed
 from skyhaul.sensors.imu import NO_SAMPLES
 from skyhaul.sensors.streams import PAYLOAD_BODY
+from skyhaul.sensors.truth_api import EventLabels
 from skyhaul.types import TimeUs
 
 

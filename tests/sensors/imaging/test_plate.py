@@ -15,7 +15,9 @@ CAMERA = RadTan(size_px=(320, 320), focal_px=(600.0, 600.0), center_px=(159.5, 1
 
 
 @pytest.mark.parametrize(
-    "size_m", [(0.2, 0.2, 0.08), (0.5, 0.44, 0.02), (0.3, 0.55, 0.1)], ids=["square", "wide", "long"]
+    "size_m",
+    [(0.2, 0.2, 0.08), (0.5, 0.44, 0.02), (0.3, 0.55, 0.1)],
+    ids=["square", "wide", "long"],
 )
 def test_the_published_tag_is_the_one_that_is_seen(size_m, world, hovering, see) -> None:
     load = Team(payload=RigidPayload(size_m=size_m))

@@ -79,14 +79,7 @@ def build_scene(team: Team, world: World, seed: int = 0) -> Scene:
         world: Room and obstacles.
         seed: Draws the textures.
     """
-    names: list[str] = list(ROOM_FACES)
-    kinds: list[ObjectKind] = ["room"] * len(ROOM_FACES)
-    for o in world.obstacles:
-        names.append(o.name)
-        kinds.append("static" if o.motion.kind == "static" else "mover")
-    names += ["payload", *(f"vehicle {i}" for i in range(team.count))]
-    names += [f"cable {i}" for i in range(team.count)]
-    kinds += ["payload", *["vehicle"] * team.count, *["cable"] * team.count]  # type: ignore[list-item]
+    names, kinds = object_names(team, world)
     x, y = team.payload.size_m[:2] if team.payload.kind == "rigid" else (1.0, 1.0)
     materials = make_materials(world.room, (x, y), seed)
     parts = _parts(team, world, materials)
@@ -96,7 +89,20 @@ def build_scene(team: Team, world: World, seed: int = 0) -> Scene:
     )  # fmt: skip
     pose_parts(arrays.parts, arrays.objects, arrays.balls)
     hooks_L = np.ascontiguousarray(team.hooks_L())
-    return Scene(tuple(names), tuple(kinds), arrays, hooks_L, tag_on(team.payload))
+    return Scene(names, kinds, arrays, hooks_L, tag_on(team.payload))
+
+
+def object_names(team: Team, world: World) -> tuple[tuple[str, ...], tuple[ObjectKind, ...]]:
+    """Name and kind of every object of a scenario's scene, by its id."""
+    names: list[str] = list(ROOM_FACES)
+    kinds: list[ObjectKind] = ["room"] * len(ROOM_FACES)
+    for o in world.obstacles:
+        names.append(o.name)
+        kinds.append("static" if o.motion.kind == "static" else "mover")
+    names += ["payload", *(f"vehicle {i}" for i in range(team.count))]
+    names += [f"cable {i}" for i in range(team.count)]
+    kinds += ["payload", *["vehicle"] * team.count, *["cable"] * team.count]  # type: ignore[list-item]
+    return tuple(names), tuple(kinds)
 
 
 class _Row(NamedTuple):
