@@ -97,7 +97,8 @@ def test_seed_camera_vehicle_and_time_each_have_their_own_noise(hall):
     for vehicle in (0, 1):
         rig = cameras(twins, hall, LIGHT, vehicle, 4)
         truth = truth_at(rig.lag_us)
-        truth.team.p_WB[:2] = place[1::-1] if vehicle else place[:2]
+        where = place[[1, 0, 2, 3]] if vehicle else place
+        truth = replace(truth, team=replace(truth.team, p_WB=where))
         images += rig.step(rig.init(3), truth)[1]
     pairs = [(one[0], other[0]), (one[0], one[2])]
     pairs += [(images[0], images[1]), (images[0], images[2]), (images[1], images[3])]
