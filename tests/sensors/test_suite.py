@@ -131,12 +131,14 @@ def test_faults_hit_only_whom_they_name(track) -> None:
     assert clean.vehicle_suite(Team(), World(), 0).sensors.script.faults == ()
 
 
-def test_the_truth_beside_the_reading_is_the_imus_bias(track) -> None:
+def test_the_truth_beside_the_reading_is_the_labels_and_the_imus_bias(track) -> None:
     suite = SENSORS.vehicle_suite(Team(), World(), 0)
     memory = suite.init(SEED)
     start = memory.imu.bias[0]
     for truth in track.truths():
-        memory, _, beside = suite.step(memory, truth)
-    assert beside.labels is None
+        memory, reading, beside = suite.step(memory, truth)
+        assert (beside.labels is None) == (reading.events is None)
+        if reading.events is not None:
+            assert len(beside.labels.object_id) == len(reading.events.t_us)
     np.testing.assert_array_equal(beside.imu_bias, memory.imu.bias[0])
     assert np.any(beside.imu_bias != start)
