@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from calibration import calibration_s
 from numpy.typing import NDArray
-from result_file import commit
+from provenance import commit
 from scipy.ndimage import gaussian_filter
 from slider_frames import (
     BLACK_LEVEL,

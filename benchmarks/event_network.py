@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 from calibration import calibration_s
-from result_file import RESULTS, commit
+from provenance import RESULTS, commit
 
 from skyhaul.geometry.camera import RadTan
 from skyhaul.perception.events.api import Work

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from calibration import calibration_s
-from result_file import commit
+from provenance import commit
 
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.flight import fly

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from calibration import calibration_s
 from event_camera import QUIET
-from result_file import commit
+from provenance import commit
 from slider_frames import BLACK_LEVEL, Recording, data_folder, load_recording, view_of
 
 from skyhaul.types import Array

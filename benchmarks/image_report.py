@@ -11,7 +11,8 @@ from typing import Any
 
 import cv2
 import numba
-from result_file import RESULTS, Row, commit
+from provenance import RESULTS, commit
+from result_file import Row
 
 GOOD_DAY_S = 0.12
 """CPU time of the calibration loop on the same machine when nothing else runs on it [s]."""

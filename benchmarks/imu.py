@@ -22,7 +22,7 @@ from typing import Any
 import numba
 import numpy as np
 from calibration import calibration_s
-from result_file import commit
+from provenance import commit
 
 from skyhaul.evaluation.allan import fit_noise
 from skyhaul.geometry.kernels import quat_exp, quat_mul, quat_rotate

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from calibration import calibration_s
-from result_file import RESULTS, commit
+from provenance import RESULTS, commit
 
 from skyhaul.geometry.quaternion import quat_conj, quat_log, quat_mul, quat_normalize
 from skyhaul.perception.vio.api import NavState

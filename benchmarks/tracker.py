@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from calibration import calibration_s
-from result_file import RESULTS, commit
+from provenance import RESULTS, commit
 
 from skyhaul.perception.obstacles.api import Bearings
 from skyhaul.perception.obstacles.motion import KalmanFilter

@@ -19,7 +19,7 @@ from typing import Any
 import gtsam
 import numpy as np
 from calibration import calibration_s
-from result_file import RESULTS, commit
+from provenance import RESULTS, commit
 from simulated_tracks import Flight, simulate
 
 from skyhaul.cli.vio import Played, play
