@@ -191,7 +191,7 @@ class FeatureTracker:
         if p.detector == "gftt":
             found = cv2.goodFeaturesToTrack(image, count, p.quality, p.spacing_px, mask=free)
             return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
-        points = cv2.FastFeatureDetector_create(p.fast_threshold).detect(image, free)
+        points = cv2.FastFeatureDetector.create(p.fast_threshold).detect(image, free)
         kept: list[Array] = []
         for point in sorted(points, key=lambda c: (-c.response, c.pt)):
             at = np.array(point.pt)
