@@ -15,12 +15,10 @@ from result_file import Row
 
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.plant.api import Truth
-from skyhaul.sensors.api import CameraCalibration, GreyImage
+from skyhaul.sensors.api import CameraCalibration, GreyImage, TagCalibration
 from skyhaul.sensors.camera import camera_pose, cameras
-from skyhaul.sensors.imaging.materials import TAG_NUMBER
 from skyhaul.sensors.imaging.photometry import expose
 from skyhaul.sensors.imaging.scene import build_scene
-from skyhaul.sensors.imaging.wares import TAG_CELLS, TAG_FAMILY
 from skyhaul.sensors.rig import RigParams
 from skyhaul.types import US_PER_S, Array
 
@@ -33,13 +31,14 @@ def detector() -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     parameters.cornerRefinementWinSize = 3
-    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(TAG_FAMILY), parameters)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_25h9)
+    return cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
-def tag_corners_L(edge_m: float, height_m: float) -> Array:
+def tag_corners_L(tag: TagCalibration) -> Array:
     """Corners of the tag in load axes, in the detector's order, (4, 3) [m]."""
-    h = 0.5 * edge_m * (TAG_CELLS - 2) / TAG_CELLS
-    return np.array([[-h, h, height_m], [h, h, height_m], [h, -h, height_m], [-h, -h, height_m]])
+    h = 0.5 * tag.edge_m
+    return tag.p_LT + np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]]) @ tag.R_LT.T
 
 
 def pose_error(
@@ -65,9 +64,9 @@ def main() -> None:
     """Look at every down image of the flight."""
     run, args = flight(__doc__)
     truth_at, scenario = truths(run, args.outward_deg), run.scenario
-    payload = scenario.team.payload
-    corners_L = tag_corners_L(payload.size_m[0], 0.5 * payload.size_m[2])
     scene, rig = build_scene(scenario.team, scenario.world), RigParams()
+    assert scene.tag is not None, "the load of `paper` carries one"
+    tag, corners_L = scene.tag.id, tag_corners_L(scene.tag)
     teams = [cameras(rig, scene, scenario.world.light, i, 4) for i in range(scenario.team.count)]
     find, calibration = detector(), [calibration_s()]
     rows_after = np.flatnonzero(run.airborne)[:: 400 if args.quick else 20]
@@ -83,10 +82,10 @@ def main() -> None:
             expose(view.grey, team.sensors[DOWN], level, 1.0, 8 * k + i, image)
             corners, ids, _ = find.detectMarkers(image)
             names = [] if ids is None else ids.ravel().tolist()
-            frames, false = frames + 1, false + len([n for n in names if n != TAG_NUMBER])
-            if names.count(TAG_NUMBER) == 1:
+            frames, false = frames + 1, false + len([n for n in names if n != tag])
+            if names.count(tag) == 1:
                 found += 1
-                pixels = corners[names.index(TAG_NUMBER)].reshape(4, 2).astype(np.float64)
+                pixels = corners[names.index(tag)].reshape(4, 2).astype(np.float64)
                 camera = team.calibrations[DOWN]
                 errors.append(pose_error(camera, pixels, corners_L, truth, i))
     e = np.array(errors).reshape(-1, 2)

@@ -71,6 +71,16 @@ def test_jacobian_on_the_axis_is_that_of_a_pinhole():
         np.testing.assert_allclose(J, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("model", MODELS, ids=IDS)
+def test_jacobian_of_what_has_no_image_is_zero(model):
+    camera, J = model.arrays(), np.full((2, 3), np.nan)
+    assert not project_jacobian(camera, 0.0, 0.0, 0.0, J)[2]
+    np.testing.assert_array_equal(J, 0.0)
+    _, _, ok = project_jacobian(camera, 0.3, -0.2, 0.0, J)  # a wide fisheye sees it
+    assert ok == project(camera, 0.3, -0.2, 0.0)[2]
+    assert np.any(J != 0.0) == isinstance(model, Equidistant)
+
+
 @pytest.mark.parametrize("model", MODELS[:2], ids=IDS[:2])
 def test_radtan_is_that_of_opencv(model):
     _, points = points_in_view(model)

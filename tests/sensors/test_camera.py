@@ -3,6 +3,7 @@
 
 import hashlib
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import cv2
@@ -17,7 +18,6 @@ from skyhaul.model.team import Team
 from skyhaul.plant.api import PLANT_STEP_US, Truth
 from skyhaul.sensors.camera import camera_pose, cameras
 from skyhaul.sensors.imaging.scene import build_scene
-from skyhaul.sensors.imaging.wares import TAG_CELLS, TAG_FAMILY
 from skyhaul.sensors.rig import CameraMount, RigParams
 from skyhaul.world.scenario import Light, LightChange, World
 
@@ -91,9 +91,18 @@ def test_seed_camera_vehicle_and_time_each_have_their_own_noise(hall):
     """The same view twice differs by noise alone, and by about as much as two noises."""
     one, other = film(0, hall), film(0, hall, seed=4)
     assert np.array_equal(one[0].image, film(0, hall)[0].image)
+    twins = RigParams(cameras=(RIG.cameras[0], replace(RIG.cameras[0], name="b")))
+    place = truth_at(0).team.p_WB
+    images = []  # of two cameras in one place, first on vehicle 0, then on vehicle 1
+    for vehicle in (0, 1):
+        rig = cameras(twins, hall, LIGHT, vehicle, 4)
+        truth = truth_at(rig.lag_us)
+        where = place[[1, 0, 2, 3]] if vehicle else place
+        truth = replace(truth, team=replace(truth.team, p_WB=where))
+        images += rig.step(rig.init(3), truth)[1]
     pairs = [(one[0], other[0]), (one[0], one[2])]
+    pairs += [(images[0], images[1]), (images[0], images[2]), (images[1], images[3])]
     for a, b in pairs:
-        assert a.camera == b.camera
         difference = a.image.astype(float) - b.image
         assert 0.5 < difference.std() < 8.0
 
@@ -113,9 +122,9 @@ def test_the_down_camera_finds_the_tag_and_where_it_is(hall):
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     parameters.cornerRefinementWinSize = 3
-    dictionary = cv2.aruco.getPredefinedDictionary(TAG_FAMILY)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_25h9)
     detector = cv2.aruco.ArucoDetector(dictionary, parameters)
-    half = 0.1 * (TAG_CELLS - 2) / TAG_CELLS
+    half = 0.5 * hall.tag.edge_m
     corners_L = np.array(
         [[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]]
     )

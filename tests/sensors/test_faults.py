@@ -9,7 +9,7 @@ import pytest
 
 from skyhaul.errors import ConfigError
 from skyhaul.mission.config import RunConfig
-from skyhaul.sensors.api import CameraFrame, EventLabels, EventReading, ImuReading, VehicleReading
+from skyhaul.sensors.api import CameraFrame, EventReading, ImuReading, VehicleReading
 from skyhaul.sensors.faults import (
     ClockOffset,
     DroppedFrames,
@@ -21,6 +21,7 @@ from skyhaul.sensors.faults import (
 )
 from skyhaul.sensors.flicker import Flicker
 from skyhaul.sensors.script import script_of
+from skyhaul.sensors.truth_api import EventLabels
 from skyhaul.world.load import load_config
 
 CAMERAS = ("front", "rear")
@@ -128,6 +129,16 @@ def test_a_clock_that_runs_away_shifts_stamps_by_offset_and_drift() -> None:
     one = play([replace(fault, camera="rear")], count=5)
     assert stamps(one, 0) == [100_000 * k for k in range(5)]
     assert stamps(one, 1) == expected
+
+
+def test_a_clock_set_back_drops_frames_until_it_is_past_the_last_stamp() -> None:
+    back = ClockOffset(vehicle=VEHICLE, camera="front", start_s=0.35, offset_us=-100_000)
+    played = play([back], count=8)
+    assert stamps(played, 0) == [0, 100_000, 200_000, 300_000, 400_000, 500_000, 600_000]
+    assert pictures(played, 0) == [0, 1, 2, 3, 5, 6, 7]
+    assert stamps(played, 1) == [100_000 * k for k in range(8)]
+    far = ClockOffset(vehicle=VEHICLE, camera="front", offset_us=-250_000)
+    assert stamps(play([far], count=5), 0) == [50_000, 150_000]  # none from before the run
 
 
 BURST = EventBurst(

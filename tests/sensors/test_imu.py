@@ -124,21 +124,22 @@ def of(truth) -> Motion:
     return Motion(t.q_WL, t.v_WL, t.w_WL_L, t.q_WB, t.v_WB, t.w_WB_B)
 
 
-def integrate(q, p, v, gyro, accel):
+def integrate(q, p, v, gyro, accel, step_s):
     """Strapdown integration of readings held over their steps."""
     for w, f in zip(gyro, accel, strict=True):
-        middle = np.array(quat_mul(tuple(q), quat_exp(0.5 * STEP_S * w)))
+        middle = np.array(quat_mul(tuple(q), quat_exp(0.5 * step_s * w)))
         a = quat_rotate(middle, f) - np.array([0.0, 0.0, GRAVITY_MPS2])
-        p, v = p + STEP_S * v + 0.5 * STEP_S**2 * a, v + STEP_S * a
-        q = np.array(quat_mul(tuple(q), quat_exp(STEP_S * w)))
+        p, v = p + step_s * v + 0.5 * step_s**2 * a, v + step_s * a
+        q = np.array(quat_mul(tuple(q), quat_exp(step_s * w)))
     return q, p, v
 
 
-def test_exact_readings_lead_back_to_the_true_place_and_attitude() -> None:
+@pytest.mark.parametrize(("rate_hz", "gap_m"), [(500, 2e-4), (100, 5e-3)])
+def test_exact_readings_lead_back_to_the_true_motion(rate_hz, gap_m) -> None:
     arm = np.array(EXACT.p_BI_m)
     truths = flight(2.0)
     assert any(t.contacts for t in truths), "the team tumbles and crashes on the way"
-    wide = replace(EXACT, gyro_range_radps=100.0, accel_range_mps2=1e4)
+    wide = replace(EXACT, rate_hz=rate_hz, gyro_range_radps=100.0, accel_range_mps2=1e4)
     bank = imu_bank([wide] * 5, range(5))
     readings = run(bank, [of(t) for t in truths])
     first, last = truths[0].team, truths[-1].team
@@ -148,11 +149,17 @@ def test_exact_readings_lead_back_to_the_true_place_and_attitude() -> None:
             if b == 0
             else (first.q_WB[b - 1], first.p_WB[b - 1], first.v_WB[b - 1], first.w_WB_B[b - 1])
         )
-        q1, p1 = (last.q_WL, last.p_WL) if b == 0 else (last.q_WB[b - 1], last.p_WB[b - 1])
+        q1, p1, v1, w1 = (
+            (last.q_WL, last.p_WL, last.v_WL, last.w_WL_L)
+            if b == 0
+            else (last.q_WB[b - 1], last.p_WB[b - 1], last.v_WB[b - 1], last.w_WB_B[b - 1])
+        )
         start = p0 + quat_rotate(q0, arm), v0 + quat_rotate(q0, np.cross(w0, arm))
-        q, p, _ = integrate(q0, *start, readings[b][1], readings[b][2])
+        q, p, v = integrate(q0, *start, readings[b][1], readings[b][2], 1.0 / rate_hz)
         assert np.linalg.norm(p1 - p0) > 0.5
-        assert np.linalg.norm(p - (p1 + quat_rotate(q1, arm))) < 2e-4
+        assert np.linalg.norm(p - (p1 + quat_rotate(q1, arm))) < gap_m
+        v1_I = v1 + quat_rotate(q1, np.cross(w1, arm))
+        np.testing.assert_allclose(v, v1_I, atol=1e-8)
         assert abs(abs(q @ q1) - 1.0) < 1e-12
 
 

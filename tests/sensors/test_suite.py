@@ -12,6 +12,7 @@ import pytest
 from skyhaul.geometry.camera import Equidistant, RadTan
 from skyhaul.model.team import Team
 from skyhaul.plant.mujoco_plant import MujocoPlant
+from skyhaul.sensors import config
 from skyhaul.sensors.config import SensorsConfig
 from skyhaul.sensors.faults import ImuGap
 from skyhaul.sensors.load_cell import LoadCell
@@ -107,6 +108,18 @@ def test_two_worker_processes_give_the_same_bytes(track, tmp_path) -> None:
     assert len(set(there)) == 4
 
 
+def test_nothing_is_painted_when_nobody_looks(monkeypatch) -> None:
+    def paint(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(config, "build_scene", paint)
+    blind = replace(SENSORS, rig=RigParams(cameras=(), event_camera=None))
+    assert blind.vehicle_suite(Team(), World(), 0).sensors.cameras is None
+    assert len(blind.team_suite(Team(), World()).vehicles) == 4
+    with pytest.raises(AssertionError):
+        SENSORS.vehicle_suite(Team(), World(), 0)
+
+
 def test_faults_hit_only_whom_they_name(track) -> None:
     suite = SENSORS.vehicle_suite(Team(), World(), 1)
     memory, samples = suite.init(SEED), []
@@ -119,13 +132,14 @@ def test_faults_hit_only_whom_they_name(track) -> None:
     assert clean.vehicle_suite(Team(), World(), 0).sensors.script.faults == ()
 
 
-def test_the_truth_beside_the_reading_is_bias_and_labels(track) -> None:
+def test_the_truth_beside_the_reading_is_the_labels_and_the_imus_bias(track) -> None:
     suite = SENSORS.vehicle_suite(Team(), World(), 0)
     memory = suite.init(SEED)
     start = memory.imu.bias[0]
     for truth in track.truths():
         memory, reading, beside = suite.step(memory, truth)
-        events = 0 if reading.events is None else len(reading.events.t_us)
-        assert events == (0 if beside.labels is None else len(beside.labels.object_id))
+        assert (beside.labels is None) == (reading.events is None)
+        if reading.events is not None:
+            assert len(beside.labels.object_id) == len(reading.events.t_us)
     np.testing.assert_array_equal(beside.imu_bias, memory.imu.bias[0])
     assert np.any(beside.imu_bias != start)

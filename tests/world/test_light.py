@@ -37,7 +37,7 @@ def test_changes_that_overlap_are_refused():
         LightChange(at_s=1.0, level=0.5, ramp_s=-1.0)
 
 
-def test_in_dark_the_light_falls_to_a_twentieth_while_the_team_flies():
+def test_in_dark_the_light_has_fallen_to_a_twentieth_after_15_s():
     light = load_config(Scenario, "dark").world.light
     assert light.at(0.0) == 1.0
     assert light.at(15.0) == pytest.approx(0.05)

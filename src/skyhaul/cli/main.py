@@ -214,17 +214,18 @@ def _add_scenario(to: argparse.ArgumentParser) -> None:
 
 
 def _seed(text: str) -> int:
-    seed = int(text)
-    if seed < 0:
-        raise argparse.ArgumentTypeError(f"a seed is 0 or more, got {seed}")
-    return seed
+    return _whole(text, 0, "a seed is a whole number, 0 or more")
 
 
 def _workers(text: str) -> int:
-    workers = int(text)
-    if workers < 1:
-        raise argparse.ArgumentTypeError(f"at least 1 process works, got {workers}")
-    return workers
+    return _whole(text, 1, "the number of processes is a whole number, 1 or more")
+
+
+def _whole(text: str, least: int, allowed: str) -> int:
+    """A whole number of at least `least`; otherwise a sentence that says what is allowed."""
+    if not (text.isascii() and text.removeprefix("-").isdigit()) or int(text) < least:
+        raise argparse.ArgumentTypeError(f"{allowed}, got {text!r}")
+    return int(text)
 
 
 def _positive(text: str) -> float:

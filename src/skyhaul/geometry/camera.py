@@ -174,12 +174,16 @@ def project_jacobian(
 ) -> tuple[float, float, bool]:
     """As `project`; writes d(u, v) / d(x, y, z) into `out`, (2, 3) [px/m].
 
-    It falls with the distance: at t times the point it is 1 / t of this.
+    It falls with the distance: at t times the point it is 1 / t of this. Where the point has no
+    image because it lies in the plane of a pinhole, or at the origin, `out` is zero.
     """
+    if z == 0.0 and (camera.model == RADTAN or (x == 0.0 and y == 0.0)):
+        out[:2, :3] = 0.0
+        return project(camera, x, y, z)
     if camera.model == EQUIDISTANT:
         a = _fisheye_jacobian(camera, x, y, z)
     else:
-        a = _radtan_jacobian(camera, x / z, y / z, 1.0 / z if z != 0.0 else 0.0)
+        a = _radtan_jacobian(camera, x / z, y / z, 1.0 / z)
     for c in range(3):
         out[0, c] = camera.fx * a[c]
         out[1, c] = camera.fy * a[3 + c]

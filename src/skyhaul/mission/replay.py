@@ -13,7 +13,8 @@ from skyhaul.mapping.api import WorldMap
 from skyhaul.mission.api import Outcome, Recorder, Replan, Solve, Tick, Trigger
 from skyhaul.mission.config import RunConfig
 from skyhaul.planning.api import Reference
-from skyhaul.sensors.api import PayloadReading, SensorTruth, VehicleReading
+from skyhaul.sensors.api import PayloadReading, VehicleReading
+from skyhaul.sensors.truth_api import SensorTruth
 from skyhaul.sensors.truth_track import TrackWriter, TruthTrack, load_track
 from skyhaul.types import Array, IntArray, TimeUs
 

@@ -101,16 +101,6 @@ class EventReading:
 
 
 @dataclass(frozen=True, eq=False)
-class EventLabels:
-    """Which object caused each event. Only training and evaluation read it, never perception."""
-
-    object_id: NDArray[np.int16]  # (k,) row of the event's object in the scene; -1 noise, -2 sky
-
-    def __post_init__(self) -> None:
-        frozen(self.object_id)
-
-
-@dataclass(frozen=True, eq=False)
 class LoadCellReading:
     """Tensions measured in one hook since the reading before."""
 
@@ -173,11 +163,17 @@ class VehicleCalibration:
 
 
 @dataclass(frozen=True, eq=False)
-class SensorTruth:
-    """What a vehicle's sensors know and do not tell. Only training and evaluation read it."""
+class TagCalibration:
+    """What an estimator may know of the tag on the load.
 
-    labels: EventLabels | None  # of the events of the same reading
-    imu_bias: Array  # (6,) of gyro and accelerometer now [rad/s, m/s^2]
+    T axes: origin in the tag's middle; as one reads the tag, x right, y up, z towards the reader.
+    """
+
+    family: str  # "tag25h9": AprilTag 25h9
+    id: int
+    edge_m: float  # of the black square, its border included [m]
+    p_LT: Array  # (3,) [m]
+    R_LT: Array  # (3, 3)
 
     def __post_init__(self) -> None:
-        frozen(self.imu_bias)
+        frozen(self.p_LT, self.R_LT)

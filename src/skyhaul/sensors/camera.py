@@ -15,11 +15,9 @@ from skyhaul.sensors.imaging.photometry import Sensor, expose, make_sensor
 from skyhaul.sensors.imaging.raycast import render
 from skyhaul.sensors.imaging.scene import Scene
 from skyhaul.sensors.rig import CameraMount, RigParams
+from skyhaul.sensors.streams import Source, seed_of
 from skyhaul.types import US_PER_S, Array, TimeUs
 from skyhaul.world.scenario import Light
-
-_STREAM = 1
-"""Number of the cameras among the sources of noise of a body."""
 
 
 class CamerasMemory(NamedTuple):
@@ -50,10 +48,10 @@ class Cameras:
     def init(self, seed: int) -> CamerasMemory:
         """Turn on, before the first true state."""
         keys = tuple(
-            int(np.random.SeedSequence(seed, spawn_key=(1 + self.vehicle, _STREAM, c))
-                .generate_state(1, np.uint64)[0] >> 1)
+            int(seed_of(seed, 1 + self.vehicle, Source.CAMERAS, c).generate_state(1, np.uint64)[0])
+            >> 1
             for c in range(len(self.mounts))
-        )  # fmt: skip
+        )
         return CamerasMemory(keys, tuple(m.photometry.first_exposure() for m in self.mounts))
 
     def due(self, c: int, t_us: TimeUs) -> bool:

@@ -5,11 +5,12 @@ from dataclasses import dataclass, field
 
 from skyhaul.model.team import Team
 from skyhaul.params import Params
-from skyhaul.sensors.api import VehicleCalibration
+from skyhaul.sensors.api import TagCalibration, VehicleCalibration
 from skyhaul.sensors.camera import cameras
 from skyhaul.sensors.events.camera import EventParams, event_camera
 from skyhaul.sensors.faults import SensorFault, check_faults
-from skyhaul.sensors.imaging.scene import Scene, build_scene
+from skyhaul.sensors.imaging.plate import tag_on
+from skyhaul.sensors.imaging.scene import Scene, build_scene, object_names
 from skyhaul.sensors.imu import Imu, imu_bank
 from skyhaul.sensors.load_cell import LoadCell
 from skyhaul.sensors.perfect import PerfectObjects, PerfectState
@@ -17,6 +18,7 @@ from skyhaul.sensors.rig import RigParams
 from skyhaul.sensors.script import script_of
 from skyhaul.sensors.streams import PAYLOAD_BODY
 from skyhaul.sensors.suite import PayloadSuite, TeamSuite, VehicleSensors, VehicleSuite
+from skyhaul.sensors.truth_api import NOISE_LABEL, SKY_LABEL, LabelName
 from skyhaul.world.scenario import Light, World
 
 
@@ -54,9 +56,20 @@ class SensorsConfig(Params):
         rate_hz = self.load_cell.rate_hz if self.load_cell else None
         return VehicleCalibration(self.imu.calibration(), self.rig.calibration(), rate_hz)
 
+    def tag(self, team: Team) -> TagCalibration | None:
+        """What an estimator may know of the tag on the load; None without one."""
+        return tag_on(team.payload)
+
+    def label_names(self, team: Team, world: World) -> tuple[LabelName, ...]:
+        """What the labels of events mean, from the least label on."""
+        rows = enumerate(zip(*object_names(team, world), strict=True))
+        objects = [LabelName(i, name, kind) for i, (name, kind) in rows]
+        sky, noise = LabelName(SKY_LABEL, "sky", "sky"), LabelName(NOISE_LABEL, "noise", "noise")
+        return (sky, noise, *objects)
+
     def vehicle_suite(self, team: Team, world: World, vehicle: int) -> VehicleSuite:
         """All sensors of one vehicle."""
-        sensors = self._vehicle(build_scene(team, world), world.light, vehicle, team.count)
+        sensors = self._vehicle(self._scene(team, world), world.light, vehicle, team.count)
         return VehicleSuite(imu_bank([self.imu], [1 + vehicle]), sensors)
 
     def payload_suite(self) -> PayloadSuite:
@@ -66,7 +79,7 @@ class SensorsConfig(Params):
 
     def team_suite(self, team: Team, world: World) -> TeamSuite:
         """The sensors of load and vehicles, for a flight; vehicles share one scene."""
-        n, scene = team.count, build_scene(team, world)
+        n, scene = team.count, self._scene(team, world)
         imus, bodies = [self.payload_imu] + n * [self.imu], [PAYLOAD_BODY, *range(1, 1 + n)]
         vehicles = tuple(self._vehicle(scene, world.light, i, n) for i in range(n))
         return TeamSuite(imu_bank(imus, bodies), vehicles, self.payload_suite().script)
@@ -80,13 +93,22 @@ class SensorsConfig(Params):
         mount = self.rig.event_camera
         return mount.model.size_px if mount is not None else None
 
-    def _vehicle(self, scene: Scene, light: Light, vehicle: int, count: int) -> VehicleSensors:
-        mount, events = self.rig.event_camera, None
-        if mount is not None:
+    def _scene(self, team: Team, world: World) -> Scene | None:
+        """What cameras see; None when nobody looks, for it takes long to paint."""
+        looks = self.rig.cameras or self.rig.event_camera
+        return build_scene(team, world) if looks else None
+
+    def _vehicle(
+        self, scene: Scene | None, light: Light, vehicle: int, count: int
+    ) -> VehicleSensors:
+        mount, events, images = self.rig.event_camera, None, None
+        if scene is not None and mount is not None:
             events = event_camera(self.events, mount, scene, light, vehicle)
+        if scene is not None and self.rig.cameras:
+            images = cameras(self.rig, scene, light, vehicle, count)
         return VehicleSensors(
             vehicle=vehicle,
-            cameras=cameras(self.rig, scene, light, vehicle, count) if self.rig.cameras else None,
+            cameras=images,
             events=events,
             load_cell=self.load_cell,
             script=script_of(self.faults, 1 + vehicle, self._camera_names, self._event_size_px),

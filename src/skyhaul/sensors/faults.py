@@ -58,7 +58,11 @@ class FrozenCamera(Params):
 
 @dataclass(frozen=True, kw_only=True)
 class ClockOffset(Params):
-    """The clock of a vehicle's cameras runs away from the true time; nobody is told."""
+    """The clock of a vehicle's cameras runs away from the true time; nobody is told.
+
+    Stamps of a camera increase strictly and are never negative: a frame whose stamp is not after
+    that of the last one delivered is dropped, as when the clock is set back.
+    """
 
     kind: Literal["clock-offset"] = "clock-offset"
     vehicle: int

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyhaul.sensors.api import EventLabels, EventReading
+from skyhaul.sensors.api import EventReading
 from skyhaul.sensors.faults import EventBurst
 from skyhaul.sensors.streams import Source, stream
+from skyhaul.sensors.truth_api import NOISE_LABEL, EventLabels
 from skyhaul.types import US_PER_S, TimeUs
-
-NOISE_LABEL = -1
 
 
 @dataclass(frozen=True, eq=False)

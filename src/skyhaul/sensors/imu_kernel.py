@@ -21,11 +21,10 @@ from skyhaul.types import GRAVITY_MPS2, Array, IntArray, Mask
 
 # mypy: disable-error-code="no-any-return"
 
-Q, V, SUM, BIAS, COUNT = slice(0, 4), slice(4, 7), slice(7, 13), slice(13, 19), 19
-"""Layout of a row of `state` (20,): the body's q and the IMU's v_WI [m/s] a step ago, the sum of
-the steps' means since the last sample (gyro, accel), the biases now, the number of steps summed;
--1 before the first state."""
-STATE_NX = 20
+Q, V, BIAS, COUNT = slice(0, 4), slice(4, 7), slice(7, 13), 13
+"""Layout of a row of `state` (14,): the body's q and the IMU's v_WI [m/s] at the last sample, the
+biases now, the number of steps since that sample; -1 before the first state."""
+STATE_NX = 14
 NOISE_NX = 12
 """Normal variates for a sample: six white, six for the random walk."""
 
@@ -74,11 +73,11 @@ def imu_step(
 ) -> None:
     """Advance k IMUs to the next true state.
 
-    A step's reading is the mean over the step, as of a sensor that integrates: the rotation
-    vector of the step over dt, and the IMU's change of velocity less that of free fall over dt,
-    in the axes at the middle of the step. A sample is the mean of its steps. A strapdown
-    integration of the exact samples meets the true velocity exactly, the attitude too, and the
-    place up to dt^2/12 times the change of acceleration.
+    A sample is the mean over its period T, as of a sensor that integrates with coning and sculling
+    made good: the rotation vector of the period over T, and the IMU's change of velocity less that
+    of free fall over T, in the axes half the rotation on. A strapdown integration of the exact
+    samples (attitude by the exponential, force turned half-way) meets the true velocity exactly,
+    the attitude too, and the place up to T^2/12 times the change of acceleration.
 
     Args:
         imus: Their parameters.
@@ -86,32 +85,26 @@ def imu_step(
         motion: True state now.
         dt: Time since the state before [s].
         noise: Normal variates, (k, 12).
-        state: See `Q` and its neighbours, (k, 20); in place.
+        state: See `Q` and its neighbours, (k, 14); in place.
         out: Samples, (k, 6) [rad/s, m/s^2]; rows of IMUs that are ready are written.
         ready: Which gave a sample, (k,); written.
     """
     rate = np.empty(6)
     for r in range(imus.body.shape[0]):
-        _mean(imus, r, motion, dt, state[r], rate)
         ready[r] = False
-        if state[r, COUNT] < 0.0:
-            state[r, COUNT] = 0.0
-            continue
-        for c in range(6):
-            state[r, 7 + c] += rate[c]
         state[r, COUNT] += 1.0
-        if state[r, COUNT] >= imus.every[r]:
-            for c in range(6):
-                rate[c] = state[r, 7 + c] / state[r, COUNT]
-                state[r, 7 + c] = 0.0
-            state[r, COUNT] = 0.0
+        if 0.0 < state[r, COUNT] < imus.every[r]:
+            continue
+        _mean(imus, r, motion, max(state[r, COUNT], 1.0) * dt, state[r], rate)
+        if state[r, COUNT] > 0.0:
             imu_sample(imus, errors, r, rate, noise[r], state[r], out[r])
             ready[r] = True
+        state[r, COUNT] = 0.0
 
 
 @njit
 def _mean(imus: ImuArrays, r: int, motion: Motion, dt: float, state: Array, rate: Array) -> None:
-    """Mean angular rate and specific force since the state before, I axes; keeps the state."""
+    """Mean angular rate and specific force over the dt since the last sample; keeps the state."""
     b = imus.body[r]
     if b == 0:
         q = (motion.q_WL[0], motion.q_WL[1], motion.q_WL[2], motion.q_WL[3])
@@ -165,8 +158,8 @@ def imu_sample(
             + M[r, row, 2] * exact[first + 2]
         )
         step = imus.walk[r, c] * noise[6 + c]
-        value += state[13 + c] + 0.5 * step + imus.white[r, c] * noise[c]
-        state[13 + c] += step
+        value += state[7 + c] + 0.5 * step + imus.white[r, c] * noise[c]
+        state[7 + c] += step
         if imus.lsb[r, c] > 0.0:
             value = imus.lsb[r, c] * math.floor(value / imus.lsb[r, c] + 0.5)
         out[c] = min(max(value, -imus.span[r, c]), imus.span[r, c])
@@ -183,7 +176,7 @@ def imu_still(
         errors: Scale and misalignment.
         exact: What an ideal IMU would read at rest, (6,).
         noise: Normal variates, (m, 12).
-        state: Its row, (20,); in place.
+        state: Its row, (14,); in place.
         out: Readings, (m, 6); written.
     """
     for i in range(noise.shape[0]):

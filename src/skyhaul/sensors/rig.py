@@ -16,6 +16,7 @@ behind the vehicle's centre, so that its own cable never runs across the tag.
 """
 
 import math
+import re
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,7 +37,7 @@ class CameraMount(Params):
     """One camera and where it sits."""
 
     name: str
-    """Unique name in the rig."""
+    """Unique name in the rig: a lower-case letter, then letters, digits, spaces, underscores."""
     model: CameraModel
     """Size, focal length, distortion."""
     p_BC_m: Vec3
@@ -77,7 +78,7 @@ class EventCameraMount(Params):
     """The event camera's lens and where it sits."""
 
     name: str = "events"
-    """Unique name in the rig."""
+    """Unique name in the rig: a lower-case letter, then letters, digits, spaces, underscores."""
     model: CameraModel = field(
         default_factory=lambda: Equidistant.from_fov((160, 120), 150.0, (-0.02, 0.003, 0.0, 0.0))
     )
@@ -129,9 +130,12 @@ class RigParams(Params):
     def __post_init__(self) -> None:
         names = [c.name for c in self.cameras]
         names += [self.event_camera.name] if self.event_camera else []
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"cameras must have unique names, got {name!r} twice")
+        parts = [re.sub(r"\W+", "_", name) for name in names]
+        for name, part in zip(names, parts, strict=True):
+            if parts.count(part) > 1:
+                raise ValueError(
+                    f"cameras must have names that differ in letters or digits, got {name!r} twice"
+                )
 
     def calibration(self) -> RigCalibration:
         """What an estimator may know of the rig."""
@@ -156,5 +160,9 @@ def mount_rotation(azimuth_deg: float, elevation_deg: float, roll_deg: float) ->
 
 
 def _check_name(name: str) -> None:
-    if not name:
-        raise ValueError("name must not be empty")
+    """Names become parts of topics, frames and files."""
+    if not re.fullmatch(r"[a-z][A-Za-z0-9 _]*", name) or name == "imu":
+        raise ValueError(
+            "name must begin with a lower-case letter, go on with letters, digits, spaces or "
+            f"underscores, and not be imu, got {name!r}"
+        )

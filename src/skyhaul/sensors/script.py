@@ -4,14 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from skyhaul.sensors.api import (
-    CameraFrame,
-    EventLabels,
-    EventReading,
-    GreyImage,
-    ImuReading,
-    VehicleReading,
-)
+from skyhaul.sensors.api import CameraFrame, EventReading, GreyImage, ImuReading, VehicleReading
 from skyhaul.sensors.faults import (
     ClockOffset,
     DroppedFrames,
@@ -28,15 +21,17 @@ from skyhaul.sensors.faults import (
 from skyhaul.sensors.flicker import Flicker, mixed
 from skyhaul.sensors.imu import NO_SAMPLES
 from skyhaul.sensors.streams import PAYLOAD_BODY
+from skyhaul.sensors.truth_api import EventLabels
 from skyhaul.types import TimeUs
 
 
 @dataclass(frozen=True, eq=False)
 class ScriptMemory:
-    """What frozen cameras hold, and up to when events were delivered."""
+    """What frozen cameras hold, and up to when frames and events were delivered."""
 
     seed: int
     held: dict[int, GreyImage]  # by camera
+    stamp_us: dict[int, TimeUs]  # of the last frame delivered, by camera
     events_until_us: TimeUs
 
 
@@ -51,7 +46,7 @@ class FaultScript:
 
     def init(self, seed: int) -> ScriptMemory:
         """Nothing has happened yet."""
-        return ScriptMemory(seed, {}, -1)
+        return ScriptMemory(seed, {}, {}, -1)
 
     def imu(self, t_us: TimeUs, reading: ImuReading) -> ImuReading:
         """What is left of an IMU's samples that are delivered now."""
@@ -69,12 +64,14 @@ class FaultScript:
         if not self.faults:
             return memory, reading, labels
         imu = self.imu(reading.stamp_us, reading.imu)
-        held, frames = dict(memory.held), []
+        held, last, frames = dict(memory.held), dict(memory.stamp_us), []
         for frame in reading.frames:
             passed = self._frame(memory.seed, held, frame)
-            if passed is not None:
+            # a clock set back: as a driver does, drop frames until it is past the last stamp
+            if passed is not None and passed.stamp_us > last.get(frame.camera, -1):
+                last[frame.camera] = passed.stamp_us
                 frames.append(passed)
-        memory = replace(memory, held=held)
+        memory = replace(memory, held=held, stamp_us=last)
         events = reading.events
         if events is not None and labels is not None:
             memory, events, labels = self._events(memory, reading.stamp_us, events, labels)

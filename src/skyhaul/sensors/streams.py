@@ -32,5 +32,9 @@ def stream(seed: int, body: int, source: Source, *part: int) -> np.random.Genera
         source: What draws.
         part: Numbers of a part of the stream, each with a stream of its own.
     """
-    key = (body, int(source), *part)
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+    return np.random.default_rng(seed_of(seed, body, source, *part))
+
+
+def seed_of(seed: int, body: int, source: Source, *part: int) -> np.random.SeedSequence:
+    """What a stream grows from; arguments as `stream`."""
+    return np.random.SeedSequence(seed, spawn_key=(body, int(source), *part))

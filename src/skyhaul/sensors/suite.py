@@ -7,18 +7,17 @@ from typing import Any, Protocol
 from skyhaul.plant.api import Truth
 from skyhaul.sensors.api import (
     CameraFrame,
-    EventLabels,
     EventReading,
     ImuReading,
     LoadCellReading,
     PayloadReading,
-    SensorTruth,
     VehicleReading,
 )
 from skyhaul.sensors.imu import ImuBank, ImuMemory
 from skyhaul.sensors.imu_kernel import Motion
 from skyhaul.sensors.load_cell import LoadCell, LoadCellMemory
 from skyhaul.sensors.script import FaultScript, ScriptMemory
+from skyhaul.sensors.truth_api import EventLabels, SensorTruth
 
 NO_FRAMES: tuple[CameraFrame, ...] = ()
 
@@ -47,7 +46,10 @@ class EventSource(Protocol):
         memory: Any,  # noqa: ANN401
         truth: Truth,
     ) -> tuple[Any, EventReading | None, EventLabels | None]:
-        """Events since the reading before, with their labels; None where none is due."""
+        """Events since the reading before, with their labels; None where none is due.
+
+        It takes the memory over and may change it in place: go on with what it returns.
+        """
         ...
 
 

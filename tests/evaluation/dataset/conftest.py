@@ -11,16 +11,15 @@ from skyhaul.geometry.so3 import euler_to_R
 from skyhaul.sensors.api import (
     CameraCalibration,
     CameraFrame,
-    EventLabels,
     EventReading,
     ImuReading,
     LoadCellReading,
     RigCalibration,
-    SensorTruth,
     VehicleCalibration,
     VehicleReading,
 )
 from skyhaul.sensors.imu import Imu
+from skyhaul.sensors.truth_api import EventLabels, SensorTruth
 
 WIDE = RadTan(
     size_px=(32, 24), focal_px=(20.5, 20.25), center_px=(15.5, 11.75),

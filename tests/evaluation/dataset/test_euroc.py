@@ -2,6 +2,8 @@
 """What is written is read back: tables, pictures, calibration, events; by ours and by others."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -15,6 +17,8 @@ from skyhaul.evaluation.dataset.calibration import T_IC, inverse
 from skyhaul.evaluation.dataset.euroc import EurocWriter, read_frames, read_table
 from skyhaul.evaluation.dataset.events_file import read_events
 from skyhaul.evaluation.dataset.layout import IMU_HEAD, TRUTH_HEAD
+from skyhaul.mission.config import RunConfig
+from skyhaul.world.load import load_config
 
 DATA = Path(os.environ.get("SKYHAUL_DATA", "../shared/data"))
 
@@ -49,6 +53,14 @@ def test_images_come_back_pixel_by_pixel_under_their_stamps(written, made) -> No
         for frame in frames:
             image = cv2.imread(camera / "data" / f"{1000 * frame.stamp_us}.png", -1)
             np.testing.assert_array_equal(image, frame.image)
+
+
+def test_an_image_never_goes_over_another(made, tmp_path) -> None:
+    first = made.readings[0]
+    with EurocWriter(tmp_path / "set", made.known, "vehicle_0") as writer:
+        writer.add(*first)
+        with pytest.raises(FileError, match=r"0.png cannot be written: File exists$"):
+            writer.add(*first)
 
 
 def test_samples_come_back_to_the_last_bit(written, made) -> None:
@@ -147,6 +159,53 @@ def test_events_come_back_from_hdf5(written, made) -> None:
         assert np.all(t[first:] >= 1000 * k)
     with h5py.File(written[0] / "events_labels.h5") as file:
         np.testing.assert_array_equal(file["object_id"][:], made.labels())
+
+
+def test_the_labels_are_explained_beside_them(made, tmp_path) -> None:
+    config = load_config(RunConfig, "paper", ())
+    labels = config.sensors.label_names(config.team, config.world)
+    with EurocWriter(tmp_path / "set", made.known, "vehicle_0", labels):
+        pass
+    with h5py.File(tmp_path / "set" / "events_labels.h5") as file:
+        ids = file["ids"][:].tolist()
+        names, kinds = (file[key].asstr()[:].tolist() for key in ("names", "kinds"))
+    assert ids == list(range(-2, len(ids) - 2))
+    assert (names[:2], kinds[:2]) == (["sky", "noise"], ["sky", "noise"])
+    assert names[2:8] == ["wall -x", "wall +x", "wall -y", "wall +y", "floor", "ceiling"]
+    assert [n for n, k in zip(names, kinds, strict=True) if k in ("static", "mover")] == [
+        o.name for o in config.world.obstacles
+    ]
+    assert kinds[-9:] == ["payload", *["vehicle"] * 4, *["cable"] * 4]
+
+
+FULL_DISK = """
+import resource, signal, sys
+from pathlib import Path
+sys.path.insert(0, {here!r})
+from conftest import make_readings
+from skyhaul.errors import FileError
+from skyhaul.evaluation.dataset.euroc import EurocWriter
+
+made = make_readings()
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+try:
+    with EurocWriter(Path({folder!r}), made.known, "vehicle_0") as writer:
+        for reading, beside in made.readings:
+            writer.add(reading, beside)
+except FileError as fault:
+    print(fault)
+"""
+
+
+@pytest.mark.parametrize("limit", [900, 4_000, 9_000])
+def test_a_full_disk_is_one_sentence(limit, tmp_path) -> None:
+    here, folder = str(Path(__file__).parent), str(tmp_path / "set")
+    code = FULL_DISK.format(here=here, limit=limit, folder=folder)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.count("\n") == 1
+    assert "cannot be written: File too large" in done.stdout
 
 
 def test_the_text_has_the_same_events(written, made) -> None:

@@ -15,6 +15,7 @@ import pytest
 import skyhaul.evaluation.dataset.record as module
 from skyhaul.cli.main import main
 from skyhaul.errors import FileError
+from skyhaul.evaluation.dataset import euroc, layout
 from skyhaul.evaluation.dataset.euroc import read_table
 from skyhaul.evaluation.dataset.record import Recording, Show, record
 from skyhaul.evaluation.mcap_log import McapLog
@@ -210,11 +211,33 @@ def test_a_folder_of_something_else_is_refused(flights, tmp_path) -> None:
         record(recording(tmp_path / "set"), quiet())
 
 
+def test_two_recordings_never_share_a_folder(flights, tmp_path) -> None:
+    with layout.locked(tmp_path / "set"):
+        with pytest.raises(FileError, match="another recording works in it; wait for it or give"):
+            record(recording(tmp_path / "set"), quiet())
+        assert list((tmp_path / "set").iterdir()) == []
+    assert flights.count == 0
+    record(recording(tmp_path / "set"), quiet())
+    assert (tmp_path / "set" / "payload" / "tag.yaml").read_text().count("tag25h9") == 1
+
+
+def test_a_recording_goes_on_with_the_version_that_began_it(flights, tmp_path) -> None:
+    record(recording(tmp_path / "set", ()), quiet())
+    path = tmp_path / "set" / "record.json"
+    begun = json.loads(path.read_text())
+    path.write_text(json.dumps(begun | {"commit": "unknown"}))
+    record(recording(tmp_path / "set", ()), quiet())
+    for key in ("version", "commit"):
+        path.write_text(json.dumps(begun | {key: "0.0-other"}))
+        with pytest.raises(FileError, match=r"was begun by skyhaul .*0\.0-other"):
+            record(recording(tmp_path / "set", ()), quiet())
+
+
 def test_a_disk_that_refuses_is_one_sentence(flights, tmp_path, monkeypatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device", "/somewhere/data.csv")
 
-    monkeypatch.setattr(module.EurocWriter, "add_imu", full)
+    monkeypatch.setattr(euroc, "_row", full)
     with pytest.raises(FileError, match=r"data.csv cannot be written: No space left on device$"):
         record(recording(tmp_path / "set"), quiet())
 
@@ -244,8 +267,18 @@ def test_bad_input_is_one_sentence_and_exit_code_1(words, sentence, tmp_path, ca
     assert not (tmp_path / "set").exists()
 
 
-def test_no_worker_is_wrong_usage(tmp_path) -> None:
-    argv = ["record", "hover", "--dataset", "euroc", "--out", str(tmp_path), "--workers", "0"]
+@pytest.mark.parametrize(
+    ("option", "value", "sentence"),
+    [
+        ("--workers", "0", "the number of processes is a whole number, 1 or more, got '0'"),
+        ("--workers", "two", "the number of processes is a whole number, 1 or more, got 'two'"),
+        ("--seed", "-1", "a seed is a whole number, 0 or more, got '-1'"),
+        ("--seed", "x", "a seed is a whole number, 0 or more, got 'x'"),
+    ],
+)
+def test_a_wrong_number_is_wrong_usage(option, value, sentence, tmp_path, capsys) -> None:
+    argv = ["record", "hover", "--dataset", "euroc", "--out", str(tmp_path), option, value]
     with pytest.raises(SystemExit) as error:
         main(argv)
     assert error.value.code == 2
+    assert sentence in capsys.readouterr().err

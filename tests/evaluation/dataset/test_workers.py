@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Jobs in this process and in others: progress, failures, workers that are killed."""
 
+import multiprocessing
 import os
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -18,6 +20,10 @@ def write_half_and_whole(job: Path, show) -> None:
 
 def refuse(job: Path, show) -> None:
     raise FileError(f"{job} cannot be written")
+
+
+def sleep(job: Path, show) -> None:
+    time.sleep(600)
 
 
 def die(job: Path, show) -> None:
@@ -57,6 +63,24 @@ def test_processes_do_all_and_tell_the_share(tmp_path) -> None:
 def test_a_failure_in_a_process_comes_through(tmp_path) -> None:
     with pytest.raises(FileError, match="cannot be written"):
         run_all(refuse, [tmp_path / "a", tmp_path / "b"], 2, lambda share: None)
+
+
+@pytest.mark.slow
+def test_an_interrupt_stops_the_workers_and_no_other_process(tmp_path) -> None:
+    other = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600,))
+    other.start()
+
+    def interrupt(share: float) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run_all(sleep, [tmp_path / "a", tmp_path / "b"], 2, interrupt)
+        assert multiprocessing.active_children() == [other]
+        assert other.is_alive()
+    finally:
+        other.kill()
+        other.join()
 
 
 @pytest.mark.slow

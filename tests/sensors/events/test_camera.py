@@ -79,6 +79,16 @@ def test_the_wait_is_that_in_which_the_image_moves_by_flow_px():
         Pacing(longest_us=100)
 
 
+def test_no_rendering_comes_between_two_steps_however_fast_the_image_moves(scene, still):
+    camera = event_camera(QUIET, MOUNT, scene, Light(), 0)
+    states = [turned(still, t_us, 30.0) for t_us in range(0, 20_000, STEP_US)]
+    memory = camera.init(0)
+    for truth in states:
+        memory, _, _ = camera.step(memory, truth)
+    assert memory.renderings == len(states)
+    assert memory.flow_pxps * STEP_US > 1.2e6 * QUIET.pacing.flow_px  # the limit is exceeded
+
+
 def test_where_nothing_moves_nothing_fires_and_little_is_rendered(scene, still):
     camera = event_camera(QUIET, MOUNT, scene, Light(), 0)
     states = (replace(still, stamp_us=t) for t in range(0, 200_001, STEP_US))

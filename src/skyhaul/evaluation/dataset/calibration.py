@@ -16,6 +16,7 @@ from skyhaul.sensors.api import (
     CameraCalibration,
     ImuCalibration,
     RigCalibration,
+    TagCalibration,
     VehicleCalibration,
 )
 from skyhaul.types import US_PER_S, Array
@@ -96,6 +97,22 @@ def body_yaml(imu: ImuCalibration, carrier: str) -> str:
             "comment": f"the body is the IMU; T_carrier_imu: its pose in {carrier}, from the "
             "centre of mass, x forward, y left, z up",
             "T_carrier_imu": _matrix(T_BI),
+        }
+    )
+
+
+def tag_yaml(tag: TagCalibration) -> str:
+    """The tag on the load: which, how large, and where."""
+    T_LT = np.eye(4)
+    T_LT[:3, :3], T_LT[:3, 3] = tag.R_LT, tag.p_LT
+    return _dump(
+        {
+            "comment": "edge_m: of the black square; T_payload_tag: the tag's pose in the load, "
+            "from its centre of mass; the tag's x right, y up, z towards who reads it",
+            "family": tag.family,
+            "id": tag.id,
+            "edge_m": tag.edge_m,
+            "T_payload_tag": _matrix(T_LT),
         }
     )
 

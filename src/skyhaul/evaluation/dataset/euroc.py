@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sensors of one body as an EuRoC folder: `mav0/cam0 .. camN`, `imu0`, ground truth."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TextIO
@@ -18,10 +18,10 @@ from skyhaul.sensors.api import (
     ImuReading,
     LoadCellReading,
     RigCalibration,
-    SensorTruth,
     VehicleCalibration,
     VehicleReading,
 )
+from skyhaul.sensors.truth_api import LabelName, SensorTruth
 from skyhaul.types import Array, IntArray
 
 
@@ -31,16 +31,35 @@ class EurocWriter:
     Leaving the context finishes the files.
     """
 
-    def __init__(self, folder: Path, known: VehicleCalibration, name: str) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        known: VehicleCalibration,
+        name: str,
+        labels: Sequence[LabelName] = (),
+    ) -> None:
         """Make the folder and the files that do not grow.
 
         Args:
             folder: Where to; must not exist.
             known: The body's sensors.
             name: Of the body, for topics and comments.
+            labels: What the labels of its events mean.
+
+        Raises:
+            FileError: When the disk refuses, as for all that follows.
         """
-        self._open = ExitStack()
-        self._mav = folder / "mav0"
+        self._open, self._mav = ExitStack(), folder / "mav0"
+        try:
+            with layout.writing(folder):
+                self._begin(folder, known, name, labels)
+        except BaseException:
+            self._open.close()
+            raise
+
+    def _begin(
+        self, folder: Path, known: VehicleCalibration, name: str, labels: Sequence[LabelName]
+    ) -> None:
         self._mav.mkdir(parents=True)
         (self._mav / "body.yaml").write_text(calibration.body_yaml(known.imu, name), "utf-8")
         rig = known.rig
@@ -60,7 +79,7 @@ class EurocWriter:
         for i in range(len(rig.cameras)):
             (self._mav / f"cam{i}" / "data").mkdir()
         camera = rig.event_camera
-        self._events = EventsWriter(folder, camera.model.size_px) if camera else None
+        self._events = EventsWriter(folder, camera.model.size_px, labels) if camera else None
         if self._events is not None:
             self._open.callback(self._events.close)
         self._load_cell = None
@@ -71,20 +90,23 @@ class EurocWriter:
     def add(self, reading: VehicleReading, beside: SensorTruth) -> None:
         """Append a reading of a vehicle."""
         self.add_imu(reading.imu)
-        for frame in reading.frames:
-            self._add_frame(frame)
-        if self._events is not None and reading.events is not None and beside.labels is not None:
-            self._events.add(reading.events, beside.labels)
-        if self._load_cell is not None and reading.load_cell is not None:
-            self._add_tension(self._load_cell, reading.load_cell)
+        events, labels = reading.events, beside.labels
+        with layout.writing(self._mav):
+            for frame in reading.frames:
+                self._add_frame(frame)
+            if self._events is not None and events is not None and labels is not None:
+                self._events.add(events, labels)
+            if self._load_cell is not None and reading.load_cell is not None:
+                self._add_tension(self._load_cell, reading.load_cell)
 
     def add_imu(self, samples: ImuReading) -> None:
         """Append samples of the IMU."""
-        for t, w, f in zip(
+        rows = zip(
             samples.stamp_us.tolist(), samples.gyro_I.tolist(), samples.accel_I.tolist(),
             strict=True,
-        ):  # fmt: skip
-            self._imu.write(_row(1000 * t, [*w, *f]))
+        )  # fmt: skip
+        with layout.writing(self._mav):
+            self._imu.writelines(_row(1000 * t, [*w, *f]) for t, w, f in rows)
 
     def add_truth(self, t_us: IntArray, states: Array, bias: Array) -> None:
         """Write the ground truth.
@@ -94,16 +116,18 @@ class EurocWriter:
             states: p_WI, q_WI, v_WI, (m, 10).
             bias: Biases of gyro and accelerometer, (m, 6).
         """
-        file = self._sensor(layout.TRUTH, calibration.truth_yaml(), layout.TRUTH_HEAD)
-        rows = np.column_stack([states, bias]).tolist()
-        file.writelines(_row(1000 * t, row) for t, row in zip(t_us.tolist(), rows, strict=True))
+        rows = zip(t_us.tolist(), np.column_stack([states, bias]).tolist(), strict=True)
+        with layout.writing(self._mav):
+            file = self._sensor(layout.TRUTH, calibration.truth_yaml(), layout.TRUTH_HEAD)
+            file.writelines(_row(1000 * t, row) for t, row in rows)
 
     def __enter__(self) -> "EurocWriter":
         return self
 
     def __exit__(self, *_: object) -> None:
         """Finish all files."""
-        self._open.close()
+        with layout.writing(self._mav):
+            self._open.close()
 
     def _sensor(self, name: str, about: str, head: str) -> TextIO:
         """Folder of a sensor with its description; its open table."""
@@ -117,7 +141,8 @@ class EurocWriter:
     def _add_frame(self, frame: CameraFrame) -> None:
         name = f"{1000 * frame.stamp_us}.png"
         path = self._mav / f"cam{frame.camera}" / "data" / name
-        path.write_bytes(png_bytes(frame.image))
+        with path.open("xb") as file:  # never over an image that is there
+            file.write(png_bytes(frame.image))
         self._cameras[frame.camera].write(f"{1000 * frame.stamp_us},{name}\n")
 
     def _add_tension(self, file: TextIO, reading: LoadCellReading) -> None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names in a data set, and files that are whole or not there."""
 
+import fcntl
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,7 +10,7 @@ from pathlib import Path
 from skyhaul.errors import FileError
 
 FLIGHT, TRACK, MANIFEST, LOG = "flight", "truth.npz", "record.json", "log.mcap"
-PAYLOAD = "payload"
+PAYLOAD, TAG = "payload", "tag.yaml"
 DATA = "data.csv"
 SENSOR = "sensor.yaml"
 TRUTH = "state_groundtruth_estimate0"
@@ -51,4 +53,34 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as fault:
         where = fault.filename or path
-        raise FileError(f"{where} cannot be written: {fault.strerror or fault}") from fault
+        # HDF5 says more than a line
+        why = os.strerror(fault.errno) if fault.errno else str(fault).splitlines()[0]
+        raise FileError(f"{where} cannot be written: {why}") from fault
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other recordings out of a folder meanwhile; it is made if it is not there.
+
+    Raises:
+        FileError: When another recording works in it, or it is no folder.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise FileError(f"--out {folder}: is a file; give a folder")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder, os.O_RDONLY)
+    try:
+        _take(handle, folder)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _take(handle: int, folder: Path) -> None:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise FileError(
+            f"--out {folder}: another recording works in it; wait for it or give another folder"
+        ) from None

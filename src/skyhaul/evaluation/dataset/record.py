@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from skyhaul.errors import FileError
-from skyhaul.evaluation.dataset import layout
+from skyhaul.evaluation.dataset import calibration, layout
 from skyhaul.evaluation.dataset.euroc import EurocWriter, imu_only
 from skyhaul.evaluation.dataset.sensor_log import Body, write_sensor_log
 from skyhaul.evaluation.dataset.workers import run_all
-from skyhaul.evaluation.folder import LOG, write_json
+from skyhaul.evaluation.folder import LOG, origin, write_json
 from skyhaul.evaluation.metrics import evaluate
 from skyhaul.evaluation.recorder import RunRecorder
 from skyhaul.mission.config import RunConfig
@@ -80,7 +80,7 @@ def record(recording: Recording, show: Show) -> dict[str, Any]:
         KeyboardInterrupt: When it was interrupted; what is whole stays.
     """
     folder = recording.folder
-    with layout.writing(folder):
+    with layout.locked(folder):
         known = _open(recording)
         metrics = _flight(recording, show)
         missing = [b for b in recording.bodies if not (folder / layout.body_name(b)).exists()]
@@ -101,17 +101,28 @@ def simulate(job: BodyJob, show: Callable[[float], None]) -> None:
         FileError: When the disk refuses.
     """
     folder = job.folder / layout.body_name(job.vehicle)
+    part, config = _cleared(layout.partial(folder)), job.config
+    replay = open_replay(config, job.seed, job.folder / layout.FLIGHT / layout.TRACK)
+    labels = config.sensors.label_names(config.team, config.world)
+    known = calibration_of(config, job.vehicle)
+    with EurocWriter(part, known, folder.name, labels) as writer:
+        bias = _simulate(replay, job.vehicle, writer, show)
+        truth = replay.imu_truth(job.vehicle)
+        states = np.column_stack([truth.p_WI, truth.q_WI, truth.v_WI])
+        writer.add_truth(truth.t_us, states, bias)
+    tag = config.sensors.tag(config.team) if job.vehicle is None else None
     with layout.writing(folder):
-        part = layout.partial(folder)
+        if tag is not None:
+            (part / layout.TAG).write_text(calibration.tag_yaml(tag), "utf-8")
+        part.replace(folder)
+
+
+def _cleared(part: Path) -> Path:
+    """Remove what an interrupted recording left of a part."""
+    with layout.writing(part):
         if part.exists():
             shutil.rmtree(part)
-        replay = open_replay(job.config, job.seed, job.folder / layout.FLIGHT / layout.TRACK)
-        with EurocWriter(part, calibration_of(job.config, job.vehicle), folder.name) as writer:
-            bias = _simulate(replay, job.vehicle, writer, show)
-            truth = replay.imu_truth(job.vehicle)
-            states = np.column_stack([truth.p_WI, truth.q_WI, truth.v_WI])
-            writer.add_truth(truth.t_us, states, bias)
-        part.replace(folder)
+    return part
 
 
 def _simulate(
@@ -140,7 +151,7 @@ def calibration_of(config: RunConfig, vehicle: int | None) -> VehicleCalibration
 
 
 def _open(recording: Recording) -> list[str]:
-    """Make the folder, or recognise it; names of the bodies that its log holds.
+    """Begin in an empty folder, or recognise a recording; names of the bodies that its log holds.
 
     Raises:
         FileError: When it holds something else.
@@ -148,33 +159,40 @@ def _open(recording: Recording) -> list[str]:
     folder, path = recording.folder, recording.folder / layout.MANIFEST
     made = _origin(recording)
     if not path.is_file():
-        if folder.exists() and not folder.is_dir():
-            raise FileError(f"--out {folder}: is a file; give a folder")
-        if folder.is_dir() and any(folder.iterdir()):
+        if any(folder.iterdir()):
             raise FileError(f"--out {folder}: is not empty; give a new or an empty folder")
-        folder.mkdir(parents=True, exist_ok=True)
-        write_json(path, made | {"log": []})
+        with layout.writing(path):
+            write_json(path, made | {"log": []})
         return []
     try:
         found = json.loads(path.read_text("utf-8"))
         log = [str(name) for name in found.pop("log")]
+        by = {key: str(found.pop(key)) for key in ("version", "commit")}
     except (ValueError, KeyError, AttributeError) as fault:
         raise FileError(f"{path} is damaged; remove {folder} and record anew") from fault
+    mine = {key: made.pop(key) for key in by}
     if found != made:
         raise FileError(
             f"--out {folder}: holds a recording of another scenario, seed or settings "
             f"({found.get('name')}, seed {found.get('seed')}); give another folder"
         )
+    if any(by[key] != mine[key] and "unknown" not in (by[key], mine[key]) for key in by):
+        raise FileError(
+            f"--out {folder}: was begun by skyhaul {by['version']} at {by['commit']}, this is "
+            f"{mine['version']} at {mine['commit']}; go on with that one or give another folder"
+        )
     return log if (folder / layout.LOG).is_file() else []
 
 
 def _origin(recording: Recording) -> dict[str, Any]:
-    text = dump_config(recording.config).encode()
+    text, made_by = dump_config(recording.config).encode(), origin(recording.seed)
     return {
         "dataset": "euroc",
         "name": recording.config.name,
         "seed": recording.seed,
         "config_sha256": hashlib.sha256(text).hexdigest(),
+        "version": made_by.versions["skyhaul"],
+        "commit": made_by.commit,
     }
 
 
@@ -184,18 +202,16 @@ def _flight(recording: Recording, show: Show) -> dict[str, Any]:
     if folder.exists():
         show.say("the flight is there already")
         return evaluate(folder)
-    part = layout.partial(folder)
-    if part.exists():
-        shutil.rmtree(part)
-    config, seed = recording.config, recording.seed
-    recorder = TrackRecorder(RunRecorder(part, config, seed))
-    outcome = fly(config, seed, recorder, show.flight)
-    if outcome.reason == "interrupted":
-        shutil.rmtree(part)
-        raise KeyboardInterrupt
-    recorder.save(part / layout.TRACK)
-    metrics = evaluate(part)
-    part.replace(folder)
+    part, config, seed = _cleared(layout.partial(folder)), recording.config, recording.seed
+    with layout.writing(part):  # its log, its tables, its metrics
+        recorder = TrackRecorder(RunRecorder(part, config, seed))
+        outcome = fly(config, seed, recorder, show.flight)
+        if outcome.reason == "interrupted":
+            shutil.rmtree(part)
+            raise KeyboardInterrupt
+        recorder.save(part / layout.TRACK)
+        metrics = evaluate(part)
+        part.replace(folder)
     return metrics
 
 
@@ -206,5 +222,6 @@ def _log(recording: Recording, known: list[str], show: Show) -> None:
     names = {layout.body_name(i): i for i in range(config.team.count)} | {layout.PAYLOAD: None}
     wanted = sorted({*known, *map(layout.body_name, recording.bodies)})
     bodies = [Body(name, calibration_of(config, names[name])) for name in wanted]
-    write_sensor_log(folder / layout.LOG, folder / layout.FLIGHT / LOG, folder, bodies)
-    write_json(folder / layout.MANIFEST, _origin(recording) | {"log": wanted})
+    with layout.writing(folder / layout.LOG):
+        write_sensor_log(folder / layout.LOG, folder / layout.FLIGHT / LOG, folder, bodies)
+        write_json(folder / layout.MANIFEST, _origin(recording) | {"log": wanted})

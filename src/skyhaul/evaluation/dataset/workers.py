@@ -42,6 +42,7 @@ def run_all(
         return
     context = multiprocessing.get_context("spawn")
     shares = context.Array("d", len(jobs), lock=False)
+    before = set(multiprocessing.active_children())  # of the host; only ours are stopped
     pool = ProcessPoolExecutor(min(workers, len(jobs)), context, _begin, (shares,))
     try:
         futures = [pool.submit(_work, work, job, k) for k, job in enumerate(jobs)]
@@ -53,7 +54,8 @@ def run_all(
         ) from fault
     except BaseException:
         for process in multiprocessing.active_children():
-            process.terminate()
+            if process not in before:
+                process.terminate()
         raise
     finally:
         pool.shutdown(cancel_futures=True)

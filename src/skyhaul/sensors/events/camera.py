@@ -4,6 +4,10 @@
 After a rendering with largest optical flow f [px/s] the next is due before the image has moved by
 `flow_px`, so `flow_px / f` later; pixels take their light to change on a line meanwhile. Where
 nothing moves, few renderings give the same events as many.
+
+Limits: there is no rendering between two steps of the plant, 2 ms: where the flow exceeds
+`flow_px` a step (500 px/s at 1 px) the image moves by more than `flow_px`. Flow that begins
+suddenly is noticed at the next rendering.
 """
 
 from dataclasses import dataclass, field
@@ -14,7 +18,7 @@ import numpy as np
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.params import Params
 from skyhaul.plant.api import PLANT_STEP_US, Truth
-from skyhaul.sensors.api import CameraCalibration, EventLabels, EventReading
+from skyhaul.sensors.api import CameraCalibration, EventReading
 from skyhaul.sensors.camera import camera_pose
 from skyhaul.sensors.events.kernel import View
 from skyhaul.sensors.events.pixels import EventPixels, PixelMemory
@@ -24,11 +28,10 @@ from skyhaul.sensors.imaging.lens import Lens, make_lens
 from skyhaul.sensors.imaging.raycast import render
 from skyhaul.sensors.imaging.scene import Scene
 from skyhaul.sensors.rig import EventCameraMount
+from skyhaul.sensors.streams import Source, stream
+from skyhaul.sensors.truth_api import EventLabels
 from skyhaul.types import US_PER_S, Array, TimeUs
 from skyhaul.world.scenario import Light
-
-_STREAM = 2
-"""Number of the event camera among the sources of noise of a body."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +104,7 @@ class EventCamera:
         t_us, level = truth.stamp_us, self.light.at(truth.stamp_us / US_PER_S)
         if memory.pixels is None:
             view, flow = self._look(truth, level)
-            rng = self._rng(memory.seed)
+            rng = stream(memory.seed, 1 + self.vehicle, Source.EVENT_CAMERA)
             pixels = self.params.pixels.init(view, self.lens.width, t_us, rng)
             return self._after(memory, pixels, level, flow), None, None
         coming = self.light.at((t_us + PLANT_STEP_US) / US_PER_S)
@@ -128,10 +131,6 @@ class EventCamera:
         flow = optical_flow(arrays, self.lens, R_WC, p_WC, motion, frame)
         light = (frame.grey * np.float32(level)).ravel()
         return View(light, frame.object_id.ravel().copy(), frame.range.ravel().copy()), flow
-
-    def _rng(self, seed: int) -> np.random.Generator:
-        key = (1 + self.vehicle, _STREAM)
-        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 def event_camera(

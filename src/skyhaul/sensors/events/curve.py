@@ -41,7 +41,6 @@ def curve_between(u0: float, u1: float, y0: float, leak: float, dt: float, tau: 
         tau: Time constant of the low-pass [us].
     """
     m = (u1 - u0) / dt
-    m = (u1 - u0) / dt
     if tau == 0.0:
         return Curve(u0, m + leak, 0.0, 0.0)
     return Curve(u0 - m * tau, m + leak, y0 - u0 + m * tau, tau)

@@ -116,12 +116,8 @@ def advance(
             owed[k] = owed[k] * decay if abs(owed[k]) > _NOTHING else 0.0
         leak, free = traits_leak[k], free_us[k] - t0_us
         low = reference[k] + leak * free  # level of z at t0
-        if (
-            max(u0, u1, y0) + leak * dt < low + on
-            and min(u0, u1, y0) > low - off
-            and noise_us[k] > t1_us
-            and free < 0.0
-        ):
+        free_of_noise = noise_us[k] > t1_us and free < 0.0
+        if free_of_noise and _stays(u0, u1, y0, leak * dt, low - off, low + on):
             continue
         trait = Trait(k, on, off, leak, traits_hot[k])
         curve = curve_between(u0, u1, y0, leak, dt, dt / rate)
@@ -139,6 +135,21 @@ def advance(
         free_us[k], reference[k] = t0_us + watch.free, watch.level - leak * watch.free
         noise_us[k], draws[k] = t0_us + watch.noise, watch.draws
     return Fired(t_us[:n], pixel[:n], polarity[:n], labels[:n])
+
+
+@njit_ieee
+def _stays(u0: float, u1: float, y0: float, drift: float, low: float, high: float) -> bool:
+    """Whether what a pixel sees stays between two levels: it never leaves its values at the ends.
+
+    Args:
+        u0: Log intensity at the beginning.
+        u1: Log intensity at the end.
+        y0: Low-pass at the beginning.
+        drift: What the leak adds until the end.
+        low: Lower level.
+        high: Upper level.
+    """
+    return max(u0, u1, y0) + drift < high and min(u0, u1, y0) > low
 
 
 @njit_ieee

@@ -17,8 +17,7 @@ import numpy as np
 from skyhaul.jit import njit_ieee
 from skyhaul.sensors.events.curve import Curve, curve_at, first_crossing
 from skyhaul.sensors.events.noise import uniform, waiting_time
-
-NOISE_LABEL = -1
+from skyhaul.sensors.truth_api import NOISE_LABEL
 
 
 class PixelLaw(NamedTuple):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skyhaul.errors import GeometryError
 from skyhaul.params import Params
-from skyhaul.sensors.api import EventLabels, EventReading
+from skyhaul.sensors.api import EventReading
 from skyhaul.sensors.events.kernel import (
     Change,
     Fired,
@@ -23,6 +23,7 @@ from skyhaul.sensors.events.kernel import (
 )
 from skyhaul.sensors.events.noise import waiting_times
 from skyhaul.sensors.events.pixel import PixelLaw
+from skyhaul.sensors.truth_api import EventLabels
 from skyhaul.types import US_PER_S, Array, IntArray, TimeUs
 
 _LEAST_THRESHOLD = 0.01
@@ -145,7 +146,7 @@ class EventPixels(Params):
         """Events since the rendering before, in order of time; equal stamps row by row.
 
         Args:
-            memory: The pixels at the rendering before.
+            memory: The pixels at the rendering before; taken over and changed in place.
             view: What they see now; its arrays are kept, so do not write to them again.
             t_us: Now [us], after the rendering before.
         """

@@ -167,6 +167,9 @@ def _pillar(rng: np.random.Generator, canvas: Canvas, x: float, height: float) -
 
 
 def _pipes(rng: np.random.Generator, canvas: Canvas, width: float, height: float) -> None:
+    """Three pipes along the wall above the doors; none where it is too low for them."""
+    if height < 3.1:
+        return
     for y in rng.uniform(2.5, height - 0.6, 3):
         grey, thick = float(rng.uniform(0.65, 0.85)), float(rng.uniform(0.05, 0.12))
         canvas.rectangle(0.0, float(y), width, thick, grey)
@@ -176,7 +179,9 @@ def _pipes(rng: np.random.Generator, canvas: Canvas, width: float, height: float
 
 
 def _fitting(rng: np.random.Generator, canvas: Canvas, width: float, height: float) -> None:
-    """A board, a vent, a box or a sign somewhere on the wall."""
+    """A board, a vent, a box or a sign somewhere on the wall; none where it does not fit."""
+    if width < 1.4 or height < 1.2:
+        return
     x = float(rng.uniform(0.2, width - 1.2))
     y = float(rng.uniform(0.4, min(height - 0.8, 11.0)))
     kind = int(rng.integers(4))
@@ -236,6 +241,9 @@ def _floor_patch(rng: np.random.Generator, canvas: Canvas, width: float, length:
 
 
 def _landing_mark(rng: np.random.Generator, canvas: Canvas, width: float, length: float) -> None:
+    """A disc with a letter; none where the floor is too narrow for it."""
+    if min(width, length) < 1.2:
+        return
     x, y = float(rng.uniform(0.6, width - 0.6)), float(rng.uniform(0.6, length - 0.6))
     radius = float(rng.uniform(0.3, 0.55))
     canvas.disc(x, y, radius, 0.22)

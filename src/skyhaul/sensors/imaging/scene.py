@@ -15,6 +15,7 @@ import numpy as np
 from skyhaul.geometry.shapes import BOX, CAPSULE, SPHERE, ShapeArrays, pose_shapes
 from skyhaul.model.team import Team
 from skyhaul.plant.api import Truth
+from skyhaul.sensors.api import TagCalibration
 from skyhaul.sensors.imaging.arrays import (
     ROOM_FACES,
     THREAD,
@@ -25,6 +26,7 @@ from skyhaul.sensors.imaging.arrays import (
     SceneArrays,
 )
 from skyhaul.sensors.imaging.materials import Materials, make_materials
+from skyhaul.sensors.imaging.plate import tag_on
 from skyhaul.sensors.imaging.pose import pose_cables, pose_object, pose_parts
 from skyhaul.types import Array, IntArray
 from skyhaul.world.scenario import World
@@ -40,6 +42,7 @@ class Scene:
     kinds: tuple[ObjectKind, ...]
     arrays: SceneArrays
     hooks_L: Array  # (n, 3) [m]
+    tag: TagCalibration | None  # on the load
 
     @property
     def first_vehicle(self) -> int:
@@ -76,6 +79,21 @@ def build_scene(team: Team, world: World, seed: int = 0) -> Scene:
         world: Room and obstacles.
         seed: Draws the textures.
     """
+    names, kinds = object_names(team, world)
+    x, y = team.payload.size_m[:2] if team.payload.kind == "rigid" else (1.0, 1.0)
+    materials = make_materials(world.room, (x, y), seed)
+    parts = _parts(team, world, materials)
+    arrays = SceneArrays(
+        parts, _objects(len(kinds), world), _balls(parts), _hall(world, materials),
+        materials.atlas, np.array([-0.3, 0.25, 0.92]) / np.linalg.norm([-0.3, 0.25, 0.92]),
+    )  # fmt: skip
+    pose_parts(arrays.parts, arrays.objects, arrays.balls)
+    hooks_L = np.ascontiguousarray(team.hooks_L())
+    return Scene(names, kinds, arrays, hooks_L, tag_on(team.payload))
+
+
+def object_names(team: Team, world: World) -> tuple[tuple[str, ...], tuple[ObjectKind, ...]]:
+    """Name and kind of every object of a scenario's scene, by its id."""
     names: list[str] = list(ROOM_FACES)
     kinds: list[ObjectKind] = ["room"] * len(ROOM_FACES)
     for o in world.obstacles:
@@ -84,14 +102,7 @@ def build_scene(team: Team, world: World, seed: int = 0) -> Scene:
     names += ["payload", *(f"vehicle {i}" for i in range(team.count))]
     names += [f"cable {i}" for i in range(team.count)]
     kinds += ["payload", *["vehicle"] * team.count, *["cable"] * team.count]  # type: ignore[list-item]
-    materials = make_materials(world.room, seed)
-    parts = _parts(team, world, materials)
-    arrays = SceneArrays(
-        parts, _objects(len(kinds), world), _balls(parts), _hall(world, materials),
-        materials.atlas, np.array([-0.3, 0.25, 0.92]) / np.linalg.norm([-0.3, 0.25, 0.92]),
-    )  # fmt: skip
-    pose_parts(arrays.parts, arrays.objects, arrays.balls)
-    return Scene(tuple(names), tuple(kinds), arrays, np.ascontiguousarray(team.hooks_L()))
+    return tuple(names), tuple(kinds)
 
 
 class _Row(NamedTuple):
@@ -157,7 +168,7 @@ def _payload(team: Team, row: int, materials: Materials) -> _Row:
         return _Row(SPHERE, row, size, origin, level, face, 2.0 * payload.radius_m, 0.6)
     x, y, z = payload.size_m
     face = materials.payload_faces()
-    return _Row(BOX, row, (0.5 * x, 0.5 * y, 0.5 * z), origin, level, face, min(x, y), 1.0)
+    return _Row(BOX, row, (0.5 * x, 0.5 * y, 0.5 * z), origin, level, face, max(x, y), 1.0)
 
 
 def _vehicle(team: Team, row: int, face: IntArray) -> list[_Row]:

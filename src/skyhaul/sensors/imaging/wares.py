@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What obstacles, vehicles and the load look like: crates, drums, panels, and the tag."""
+"""What obstacles, vehicles and the load look like: crates, drums, panels."""
 
-import cv2
 import numpy as np
 
 from skyhaul.sensors.imaging.atlas import Grey
@@ -9,10 +8,6 @@ from skyhaul.sensors.imaging.canvas import Canvas, clouded
 
 SIZE = 256
 """Edge of these textures [texels]."""
-TAG_FAMILY = cv2.aruco.DICT_APRILTAG_25h9
-"""Family of the tag on the load."""
-TAG_CELLS = 9
-"""Cells along the plate's edge: the tag's border of one, its bits, one white cell around."""
 
 
 def ware(rng: np.random.Generator, kind: int) -> Grey:
@@ -22,18 +17,6 @@ def ware(rng: np.random.Generator, kind: int) -> Grey:
     noise = clouded(rng, SIZE, ((8, 0.4), (32, 0.3), (128, 0.3)))
     canvas.shade(np.asarray(1.0 + 0.2 * (2.0 * noise - 1.0), dtype=np.float32))
     return canvas.texture()
-
-
-def tag(number: int) -> Grey:
-    """The plate with its tag: black border and bits in a white margin of one cell."""
-    cell = 32
-    inner = (TAG_CELLS - 2) * cell
-    dictionary = cv2.aruco.getPredefinedDictionary(TAG_FAMILY)
-    plate = np.full((TAG_CELLS * cell, TAG_CELLS * cell), 255, dtype=np.uint8)
-    marker = cv2.aruco.generateImageMarker(dictionary, number, inner)
-    plate[cell : cell + inner, cell : cell + inner] = marker
-    image = cv2.resize(plate, (SIZE, SIZE), interpolation=cv2.INTER_AREA)
-    return np.asarray(0.04 + 0.82 * image / 255.0, dtype=np.float32)
 
 
 def _crate(rng: np.random.Generator, canvas: Canvas) -> None:
