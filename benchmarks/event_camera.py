@@ -143,7 +143,7 @@ def main() -> None:
     better = "plain log-frame difference, best of four black levels"
     rows = [
         (
-            "net count, simulated against recorded",
+            "event camera against a DAVIS240: net count of each pixel",
             found["simulated"],
             ">= 0.85, and above the next",
         ),

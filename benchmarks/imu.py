@@ -185,7 +185,12 @@ def main() -> None:
     white = max(abs(a["white_ratio"] - 1.0) for a in day)
     walk = max(abs(a["walk_ratio"] - 1.0) for a in day)
     rows = [
-        ("dead reckoning, 15 s, worst body and window", drift_mm, "mm", "<= 10"),
+        (
+            "IMU without noise: dead reckoning over 15 s, worst body and window",
+            drift_mm,
+            "mm",
+            "<= 10",
+        ),
         ("the same from samples at instants, held", worst["instants, held"], "mm", ""),
         ("the same, trapezoidal", worst["instants, trapezoid"], "mm", ""),
         ("noise density, 24 h at rest, worst axis off by", 100.0 * white, "%", "<= 15"),
