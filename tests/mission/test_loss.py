@@ -22,7 +22,7 @@ def message(stack, make_estimate):
     load = make_estimate(stack.team).team.load
     reference = resting_reference(load[:3], 0.0, 0)
     plan = spool_plan(stack, 0, load, np.ones(4, dtype=bool))
-    return PlanMessage(7, plan, reference, fan_out(reference, 4, 0))
+    return PlanMessage(7, plan, reference, fan_out(reference, stack.team.azimuths_rad, 0))
 
 
 def test_the_load_turns_to_the_equilibrium_of_the_cables_that_are_left(stack, message):
