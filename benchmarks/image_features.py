@@ -81,7 +81,7 @@ def tracked(
 def main() -> None:
     """Look at the flight through every camera."""
     run, args = flight(__doc__)
-    truth_at, scenario = truths(run, args.outward_deg), run.scenario
+    truth_at, scenario = truths(run), run.scenario
     scene, rig = build_scene(scenario.team, scenario.world), RigParams()
     teams = [cameras(rig, scene, scenario.world.light, i, 4) for i in range(scenario.team.count)]
     names, calibration = [m.name for m in rig.cameras], [calibration_s()]
@@ -118,15 +118,11 @@ def main() -> None:
         "corners": {n: _spread(count[n]) for n in names},
         "buckets_filled_of_48": {n: _spread(filled[n]) for n in names},
         "tracked_right": {n: _spread(right[n]) for n in names},
-        "outward_deg": args.outward_deg,
         "seeds": [run.origin.seed],
     }
     print(notes)
-    name = "image_features"
-    if args.outward_deg is not None:
-        name += f"_outward_{args.outward_deg:+.0f}"
     claim = "each camera sees >= 100 well-spread corners in >= 95 % of the frames above 0.5 m"
-    publish(name, claim, rows, notes, calibration, write=not args.quick)
+    publish("image_features", claim, rows, notes, calibration, write=not args.quick)
 
 
 def _spread(values: list[float]) -> dict[str, float]:

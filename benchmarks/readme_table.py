@@ -41,6 +41,7 @@ HEADLINES = {
         "camera images of 320x240, scaled to a calibration loop of 0.12 s",
         "cameras of four vehicles, scaled likewise",
     ),
+    "tag": ("tag on the load found, within 3 cm and 3 deg, of all down frames",),
     "event_camera": ("event camera against a DAVIS240: net count of each pixel",),
     "imu": ("IMU without noise: dead reckoning over 15 s, worst body and window",),
     "vio_tracks": ("EuRoC V1_01 clip, smoother, begun at rest: ATE (SE3, 581 pairs)",),

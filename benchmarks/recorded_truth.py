@@ -10,13 +10,12 @@ import numpy as np
 
 from skyhaul.evaluation.recorder import RunRecorder
 from skyhaul.evaluation.series import Run, load_run
-from skyhaul.geometry.quaternion import quat_mul, quat_to_R
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.flight import fly
 from skyhaul.model.envelope import team_shape
 from skyhaul.model.state import CableState, TeamState
 from skyhaul.plant.api import Truth
-from skyhaul.types import LOAD_P, LOAD_Q, LOAD_V, LOAD_W, Array
+from skyhaul.types import LOAD_P, LOAD_Q, LOAD_V, LOAD_W
 from skyhaul.world.load import load_config
 from skyhaul.world.motion import obstacle_field
 
@@ -26,9 +25,6 @@ def flight(about: str) -> tuple[Run, argparse.Namespace]:
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--quick", action="store_true", help="few frames; writes nothing")
     parser.add_argument("--run", type=Path, help="a run folder; default: fly paper, seed 0")
-    parser.add_argument(
-        "--outward-deg", type=float, help="turn each vehicle to its cable's azimuth plus this"
-    )
     args = parser.parse_args()
     if args.run is not None:
         return load_run(args.run), args
@@ -39,32 +35,23 @@ def flight(about: str) -> tuple[Run, argparse.Namespace]:
         return load_run(folder), args
 
 
-def truths(run: Run, outward_deg: float | None) -> Callable[[int], Truth]:
-    """Truth at a row of a run.
-
-    Args:
-        run: The flight.
-        outward_deg: None: as it flew. Else every vehicle is turned about its own z axis until it
-            faces its cable's azimuth plus this angle: for flights that were flown with another
-            fan.
-    """
+def truths(run: Run) -> Callable[[int], Truth]:
+    """Truth at a row of a run."""
     s, scenario = run.series, run.scenario
     n = scenario.team.count
     field = obstacle_field(scenario.world, run.origin.seed, team_shape(scenario.team, 0.0))
 
     def truth(k: int) -> Truth:
         t_us, load = int(s["t"][k]), s["load"][k]
-        q_WB, dir_W = s["vehicle_q"][k].copy(), s["cable_dir"][k].copy()
-        if outward_deg is not None:
-            q_WB = _outward(q_WB, dir_W, np.radians(outward_deg))
         team = TeamState(
             load[LOAD_P].copy(), load[LOAD_Q].copy(), load[LOAD_V].copy(), load[LOAD_W].copy(),
-            s["vehicle_p"][k].copy(), q_WB, s["vehicle_v"][k].copy(), s["vehicle_w"][k].copy(),
+            s["vehicle_p"][k].copy(), s["vehicle_q"][k].copy(),
+            s["vehicle_v"][k].copy(), s["vehicle_w"][k].copy(),
         )  # fmt: skip
         tension, length = s["cable_tension"][k].copy(), s["cable_length"][k].copy()
         return Truth(
             stamp_us=t_us, team=team,
-            cables=CableState(dir_W, s["cable_w"][k].copy(), tension, length),
+            cables=CableState(s["cable_dir"][k].copy(), s["cable_w"][k].copy(), tension, length),
             attached=s["cable_attached"][k] > 0, alive=s["vehicle_alive"][k] > 0,
             rotor_thrust=s["vehicle_rotor"][k].copy(), accel_W=np.zeros((1 + n, 3)),
             obstacles=field.shapes_at(t_us), v_WO=field.velocities_at(t_us),
@@ -73,11 +60,3 @@ def truths(run: Run, outward_deg: float | None) -> Callable[[int], Truth]:
         )  # fmt: skip
 
     return truth
-
-
-def _outward(q_WB: Array, dir_W: Array, off: float) -> Array:
-    R = quat_to_R(q_WB)
-    wanted = np.arctan2(-dir_W[:, 1], -dir_W[:, 0]) + off
-    turn = 0.5 * (wanted - np.arctan2(R[:, 1, 0], R[:, 0, 0]))
-    zero = np.zeros(len(turn))
-    return quat_mul(q_WB, np.column_stack([np.cos(turn), zero, zero, np.sin(turn)]))

@@ -135,8 +135,8 @@ def draw_rig(rig: RigParams) -> None:
 def main() -> None:
     """Draw everything."""
     draw_rig(RigParams())
-    run, args = flight(__doc__)
-    truth = truths(run, args.outward_deg)(int(np.searchsorted(run.t_s, MOMENT_S)))
+    run, _ = flight(__doc__)
+    truth = truths(run)(int(np.searchsorted(run.t_s, MOMENT_S)))
     scene = build_scene(run.scenario.team, run.scenario.world)
     team = cameras(RigParams(), scene, run.scenario.world.light, VEHICLE, run.scenario.team.count)
     draw_views(team, truth)

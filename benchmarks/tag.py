@@ -63,7 +63,7 @@ def pose_error(
 def main() -> None:
     """Look at every down image of the flight."""
     run, args = flight(__doc__)
-    truth_at, scenario = truths(run, args.outward_deg), run.scenario
+    truth_at, scenario = truths(run), run.scenario
     scene, rig = build_scene(scenario.team, scenario.world), RigParams()
     assert scene.tag is not None, "the load of `paper` carries one"
     tag, corners_L = scene.tag.id, tag_corners_L(scene.tag)
@@ -93,7 +93,12 @@ def main() -> None:
     calibration.append(calibration_s())
     rows = [
         Row("tag found, of all down frames after lift-off", found / frames, "", ">= 0.95"),
-        Row("found and within 3 cm and 3 deg", float(good), "", ">= 0.95"),
+        Row(
+            "tag on the load found, within 3 cm and 3 deg, of all down frames",
+            float(good),
+            "",
+            ">= 0.95",
+        ),
         Row("place, median", float(np.median(e[:, 0])), "m"),
         Row("place, 95 %", float(np.quantile(e[:, 0], 0.95)), "m", "<= 0.03"),
         Row("place, largest", float(e[:, 0].max()), "m"),
@@ -102,10 +107,9 @@ def main() -> None:
         Row("attitude, largest", float(e[:, 1].max()), "deg"),
         Row("other tags found where none is", false, "", "0"),
     ]
-    notes = {"frames": frames, "outward_deg": args.outward_deg, "seeds": [run.origin.seed]}
-    name = "tag" if args.outward_deg is None else f"tag_outward_{args.outward_deg:+.0f}"
+    notes = {"frames": frames, "seeds": [run.origin.seed]}
     claim = "the tag is found in >= 95 % of down frames, its pose within 3 cm and 3 deg"
-    publish(name, claim, rows, notes, calibration, write=not args.quick)
+    publish("tag", claim, rows, notes, calibration, write=not args.quick)
 
 
 if __name__ == "__main__":
