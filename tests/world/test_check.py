@@ -47,6 +47,11 @@ def test_hover_thrusts_balance_the_weight_and_the_cable_angle() -> None:
         (["start.vehicles_m[0]=[-5, 0]"], "vehicles_m[0]: (-5, 0) lies outside the map"),
         (["start.payload_m=[-5, 0]"], "start.payload_m: (-5, 0) lies outside the map"),
         (["events=[{kind: cable-cut, vehicle: 4, at_s: 1}]"], "no vehicle 4; allowed: 0 to 3"),
+        (["team.azimuths_deg=[0, 30, 60, 180]"], "leave 180 deg around the load free"),
+        (
+            ["team.hooks_m=[[0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0], [0.1, -0.1, 0]]"],
+            "team.hooks_m: the hooks leave",
+        ),
         (
             ["team={count: 2, azimuths_deg: [0, 180]}", "start.vehicles_m=null"],
             "missions fly 3 to 8 vehicles, got 2",

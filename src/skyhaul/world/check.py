@@ -19,6 +19,8 @@ GOAL_MARGIN_M = 0.15
 """Room that the team's shape needs on every side at the goal and at an air start [m]."""
 THRUST_SHARE_MAX = 0.9
 """Largest share of its thrust that a vehicle may need to hover with its part of the load."""
+GAP_MAX_DEG = 175.0
+"""Widest gap between neighbours around the load: at 180 deg nothing pulls to one side of it."""
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -82,6 +84,21 @@ def _check_team(team: Team) -> None:
         raise ConfigError(
             f"team: vehicle {i} needs {need[i]:.2f} N to hover with its share of the load, more "
             f"than {THRUST_SHARE_MAX:.0%} of its {most[i]:.2f} N; lighten the load or add vehicles"
+        )
+    _check_gap("team.azimuths_deg", "cables", team.azimuths_rad)
+    if team.payload.kind == "rigid":
+        hooks = team.hooks_L()
+        _check_gap("team.hooks_m", "hooks", np.arctan2(hooks[:, 1], hooks[:, 0]))
+
+
+def _check_gap(key: str, what: str, azimuths_rad: Array) -> None:
+    """Refuse a load that hangs over its edge: all cables or hooks, (n,), on one side of it."""
+    a = np.sort(np.mod(azimuths_rad, 2.0 * math.pi))
+    gap_deg = math.degrees(float(np.max(np.diff(a, append=a[0] + 2.0 * math.pi))))
+    if gap_deg > GAP_MAX_DEG:
+        raise ConfigError(
+            f"{key}: the {what} leave {gap_deg:.0f} deg around the load free, more than "
+            f"{GAP_MAX_DEG:.0f} deg, so that it cannot hang level; spread them around it"
         )
 
 
