@@ -2,11 +2,13 @@
 """`skyhaul run`: fly a scenario, write its run folder, print the table."""
 
 import argparse
+import itertools
 import re
 import shutil
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from skyhaul.cli.overrides import run_overrides
 from skyhaul.cli.progress import FlightBar
@@ -15,9 +17,11 @@ from skyhaul.evaluation.metrics import evaluate
 from skyhaul.evaluation.recorder import RunRecorder
 from skyhaul.evaluation.report import write_report
 from skyhaul.evaluation.table import print_table
+from skyhaul.jit import told_of_compiling
 from skyhaul.mission.api import Outcome
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.flight import fly
+from skyhaul.mission.rehearsal import rehearse
 from skyhaul.world.load import load_config
 
 
@@ -54,7 +58,11 @@ def default_folder(name: str, seed: int) -> Path:
 
 
 def _fly(config: RunConfig, seed: int, folder: Path) -> Outcome:
+    """Rehearse, so that figures of time and energy are those of the flight alone; then fly."""
     with FlightBar(config.name, sys.stderr) as bar:
+        with told_of_compiling(bar.compiling), TemporaryDirectory() as root:
+            count = itertools.count()
+            rehearse(config, lambda short: RunRecorder(Path(root) / f"{next(count)}", short, 0))
         return fly(config, seed, RunRecorder(folder, config, seed), bar.update)
 
 
