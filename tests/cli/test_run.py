@@ -52,6 +52,7 @@ def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """An empty working folder; what judges and reports is replaced."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command, "RunRecorder", Folder)
+    monkeypatch.setattr(command, "load_run", lambda folder: folder)
     monkeypatch.setattr(command, "rehearse", lambda config, recorder: None)
     monkeypatch.setattr(command, "evaluate", lambda folder: {"mission_success": True})
     monkeypatch.setattr(command, "print_table", lambda metrics: None)

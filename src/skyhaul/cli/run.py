@@ -2,6 +2,7 @@
 """`skyhaul run`: fly a scenario, write its run folder, print the table."""
 
 import argparse
+import gc
 import itertools
 import re
 import shutil
@@ -16,6 +17,7 @@ from skyhaul.errors import FileError, SkyhaulError
 from skyhaul.evaluation.metrics import evaluate
 from skyhaul.evaluation.recorder import RunRecorder
 from skyhaul.evaluation.report import write_report
+from skyhaul.evaluation.series import load_run
 from skyhaul.evaluation.table import print_table
 from skyhaul.jit import told_of_compiling
 from skyhaul.mission.api import Outcome
@@ -40,9 +42,10 @@ def run(args: argparse.Namespace) -> int:
     except SkyhaulError:
         _clear(folder, remove=fresh)
         raise
-    metrics = evaluate(folder)
+    flown = load_run(folder)
+    metrics = evaluate(flown)
     print_table(metrics)
-    write_report(folder, video=False)
+    write_report(flown, video=False)
     print(f"run folder: {folder}  (open {folder / 'report.html'} in a browser)")
     return 0 if metrics["mission_success"] else 3
 
@@ -63,6 +66,7 @@ def _fly(config: RunConfig, seed: int, folder: Path) -> Outcome:
         with told_of_compiling(bar.compiling), TemporaryDirectory() as root:
             count = itertools.count()
             rehearse(config, lambda short: RunRecorder(Path(root) / f"{next(count)}", short, 0))
+        gc.freeze()  # modules and kernels stay: the collector need not look at them in flight
         return fly(config, seed, RunRecorder(folder, config, seed), bar.update)
 
 

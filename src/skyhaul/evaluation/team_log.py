@@ -63,9 +63,10 @@ class TeamLog:
         bodies[1:, 0:3], bodies[1:, 3:7] = team.p_WB, team.q_WB
         bodies[1:, 7:10], bodies[1:, 10:13] = team.v_WB, team.w_WB_B
         at, frames = messages.stamp(t_us), list[float]()
-        for topic, stencil, body in zip(self._topics, self._odometry, bodies, strict=True):
-            where = (*at, *messages.pose(body[0:3], body[3:7]))
-            data = stencil.fill((*where, *messages.twist(body)))
+        poses, twists = messages.poses_and_twists(bodies)
+        for k, (topic, stencil) in enumerate(zip(self._topics, self._odometry, strict=True)):
+            where = (*at, *poses[k])
+            data = stencil.fill((*where, *twists[k]))
             log.write_encoded(topic, "nav_msgs/Odometry", t_us, data)
             frames += where
         log.write_encoded("/tf", "tf2_msgs/TFMessage", t_us, self._transforms.fill(frames))
