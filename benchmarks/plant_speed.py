@@ -17,7 +17,7 @@ from skyhaul.model.formation import hover_state
 from skyhaul.model.team import Team
 from skyhaul.plant.clearance import Surroundings, touch_memory, update_touches
 from skyhaul.plant.mujoco_plant import MujocoPlant
-from skyhaul.plant.observe import Constraints, observe, team_bodies
+from skyhaul.plant.observe import Constraints, observation, observe, team_bodies
 from skyhaul.types import Array
 from skyhaul.world.obstacles import CyclicPath, Obstacle
 from skyhaul.world.scenario import AirStart, HoverTask, Scenario, World
@@ -56,8 +56,8 @@ def step_us(count: int) -> dict[str, float]:
 def clearance_us(count: int) -> dict[str, float]:
     """Only the clearance and contacts of nine bodies to `count` obstacles."""
     team = Team()
-    rows = obstacles(count, 0)
-    field = pose_shapes([o.shape for o in rows], np.array([o.center_m for o in rows]))
+    movers = obstacles(count, 0)
+    field = pose_shapes([o.shape for o in movers], np.array([o.center_m for o in movers]))
     reach = np.array([bounding_radius(field, j) for j in range(count)])
     around = Surroundings(
         field, reach, np.ones(count, dtype=np.bool_), np.zeros(3), np.full(3, 20.0)
@@ -70,7 +70,8 @@ def clearance_us(count: int) -> dict[str, float]:
     poses = np.column_stack([s.p_WB, s.q_WB])
     qpos = np.concatenate([rest.p_WL, rest.q_WL, poses.ravel()])
     zero = np.zeros(30)
-    observe(team.arrays(), qpos, zero, zero, Constraints(nothing, nothing, np.zeros(0)), bodies)
+    rows = Constraints(nothing, nothing, np.zeros(0))
+    observe(team.arrays(), qpos, zero, zero, rows, bodies, observation(4))
     attached = np.ones(4, dtype=np.bool_)
     return cpu_us(lambda: update_touches(bodies, attached, around, memory), 5000)
 

@@ -19,7 +19,8 @@ def test_ctrl_c_leaves_a_readable_run_folder(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "skyhaul", "run", "circle", "--out", str(folder)]
     flight = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert flight.stderr is not None
-    assert "t = 0.0 s" in flight.stderr.readline()  # the flight has begun
+    begun = (line for line in flight.stderr if "t = 0.0 s" in line)
+    assert next(begun)
     time.sleep(1.0)
     flight.send_signal(signal.SIGINT)
     out, err = flight.communicate(timeout=120)

@@ -5,6 +5,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+import numba
 import pytest
 
 import skyhaul.cli.run as command
@@ -12,6 +13,7 @@ from skyhaul.cli.main import main
 from skyhaul.cli.overrides import run_overrides
 from skyhaul.cli.progress import FlightBar
 from skyhaul.errors import ConfigError
+from skyhaul.jit import told_of_compiling
 from skyhaul.mission.api import Outcome, Phase
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.flight import FlightProgress
@@ -50,6 +52,8 @@ def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """An empty working folder; what judges and reports is replaced."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command, "RunRecorder", Folder)
+    monkeypatch.setattr(command, "load_run", lambda folder: folder)
+    monkeypatch.setattr(command, "rehearse", lambda config, recorder: None)
     monkeypatch.setattr(command, "evaluate", lambda folder: {"mission_success": True})
     monkeypatch.setattr(command, "print_table", lambda metrics: None)
     monkeypatch.setattr(command, "write_report", lambda folder, video: None)
@@ -139,6 +143,17 @@ def test_latency_none_changes_nothing() -> None:
     assert run_overrides(args) == []
     args.latency = "measured"
     assert run_overrides(args) == ["mission.latency=measured"]
+
+
+def test_compiling_is_told_once_where_there_is_no_terminal(tmp_path: Path) -> None:
+    with (tmp_path / "out").open("w+") as file:
+        with FlightBar("hover", file) as bar, told_of_compiling(bar.compiling):
+            for _ in range(2):
+                numba.njit(lambda x: x + 1)(1)
+        numba.njit(lambda x: x + 2)(1)
+        file.seek(0)
+        lines = file.read().splitlines()
+    assert lines == ["hover: compiling, once; this takes some minutes"]
 
 
 def test_without_a_terminal_progress_is_a_line_for_each_phase(tmp_path: Path) -> None:

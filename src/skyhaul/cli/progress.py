@@ -33,12 +33,12 @@ class FlightBar:
         )
         self._title = title
         self._began = time.perf_counter()
-        self._phase = ""
+        self._phase, self._compiles = "", False
         self._farthest_m = 0.0
 
     def __enter__(self) -> "FlightBar":
         self._bar.start()
-        self._task = self._bar.add_task(self._title, total=1.0, text="compiling")
+        self._task = self._bar.add_task(self._title, total=1.0, text="making ready")
         return self
 
     def __exit__(
@@ -48,6 +48,13 @@ class FlightBar:
         trace: TracebackType | None,
     ) -> None:
         self._bar.stop()
+
+    def compiling(self, function: str) -> None:
+        """Show that a function is compiled, which happens once after an installation."""
+        self._bar.update(self._task, text=f"compiling, once: {function}")
+        if self._bar.disable and not self._compiles:
+            self._console.print(f"{self._title}: compiling, once; this takes some minutes")
+        self._compiles = True
 
     def update(self, now: FlightProgress) -> None:
         """Show one report of the flight."""

@@ -2,11 +2,14 @@
 """`skyhaul run`: fly a scenario, write its run folder, print the table."""
 
 import argparse
+import gc
+import itertools
 import re
 import shutil
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from skyhaul.cli.overrides import run_overrides
 from skyhaul.cli.progress import FlightBar
@@ -14,10 +17,13 @@ from skyhaul.errors import FileError, SkyhaulError
 from skyhaul.evaluation.metrics import evaluate
 from skyhaul.evaluation.recorder import RunRecorder
 from skyhaul.evaluation.report import write_report
+from skyhaul.evaluation.series import load_run
 from skyhaul.evaluation.table import print_table
+from skyhaul.jit import told_of_compiling
 from skyhaul.mission.api import Outcome
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.flight import fly
+from skyhaul.mission.rehearsal import rehearse
 from skyhaul.world.load import load_config
 
 
@@ -36,9 +42,10 @@ def run(args: argparse.Namespace) -> int:
     except SkyhaulError:
         _clear(folder, remove=fresh)
         raise
-    metrics = evaluate(folder)
+    flown = load_run(folder)
+    metrics = evaluate(flown)
     print_table(metrics)
-    write_report(folder, video=False)
+    write_report(flown, video=False)
     print(f"run folder: {folder}  (open {folder / 'report.html'} in a browser)")
     return 0 if metrics["mission_success"] else 3
 
@@ -54,7 +61,12 @@ def default_folder(name: str, seed: int) -> Path:
 
 
 def _fly(config: RunConfig, seed: int, folder: Path) -> Outcome:
+    """Rehearse, so that figures of time and energy are those of the flight alone; then fly."""
     with FlightBar(config.name, sys.stderr) as bar:
+        with told_of_compiling(bar.compiling), TemporaryDirectory() as root:
+            count = itertools.count()
+            rehearse(config, lambda short: RunRecorder(Path(root) / f"{next(count)}", short, 0))
+        gc.freeze()  # modules and kernels stay: the collector need not look at them in flight
         return fly(config, seed, RunRecorder(folder, config, seed), bar.update)
 
 

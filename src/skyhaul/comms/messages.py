@@ -62,6 +62,8 @@ class Order:
     since_us: TimeUs  # when the phase began
 
 
+_SIZES = {bool: 1, np.bool_: 1, int: 8, float: 8, np.float64: 8, np.int64: 8}
+"""Bytes of the usual kinds, looked up before anything is tried."""
 _FLAGS = (bool, np.bool_)
 _NUMBERS = (int, float, np.integer)  # tuples: a union is made anew, and slower, at every check
 
@@ -71,6 +73,9 @@ def encoded_bytes(message: object) -> int:
 
     A float takes 8 bytes, a flag 1, a string its UTF-8 plus 5, an array its data plus 4.
     """
+    size = _SIZES.get(type(message))
+    if size is not None:
+        return size
     if isinstance(message, np.ndarray):
         return int(message.nbytes) + 4
     if isinstance(message, _FLAGS):

@@ -12,7 +12,7 @@ from skyhaul.control.api import ForcePlan, VehicleCommand
 from skyhaul.control.cable import CableGains
 from skyhaul.control.force_plan import PlanArrays, plan_arrays
 from skyhaul.control.load_loop import LoadLoop, Wanted, pack_estimate
-from skyhaul.control.vehicle_loop import MEMORY_NX, Output, VehicleLoop, fly_vehicles
+from skyhaul.control.vehicle_loop import MEMORY_NX, Output, VehicleLoop, fly_from_python
 from skyhaul.model.team import Team, TeamArrays
 from skyhaul.params import Params
 from skyhaul.perception.api import TeamEstimate
@@ -193,10 +193,11 @@ class CableTracker:
         wanted = Wanted(np.empty((3, n, 3)), np.empty(6), np.empty(n), np.empty(6), disturbance)
         out = Output(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 4)), memory.vehicles.copy())
         clock = (1e-6 * (estimate.stamp_us - plan.stamp_us), 1e-6 * elapsed, float(scale))
-        params = (self.arrays, load, self.loop)
+        params = (tuple(self.arrays), tuple(load), tuple(self.loop))
         headings = np.array(yaw_W, dtype=np.float64)
-        fly_vehicles(params, x, arrays, clock, headings, which, wanted, out)
-        out.rotor_cmd[: which[0]] = out.rotor_cmd[which[1] :] = 0.0
+        fly_from_python(params, x, tuple(arrays), clock, headings, which, tuple(wanted), tuple(out))
+        if which != (0, n):
+            out.rotor_cmd[: which[0]] = out.rotor_cmd[which[1] :] = 0.0
         memory = VehicleMemory(estimate.stamp_us, out.memory, disturbance, plan, arrays, load)
         command = VehicleCommand(
             thrust=out.thrust,

@@ -2,7 +2,7 @@
 """The control loop of one vehicle: cable force wanted -> thrust vector -> attitude -> rotors."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -67,9 +67,32 @@ class Output(NamedTuple):
     memory: Array  # (n, MEMORY_NX), advanced
 
 
+Params = tuple[TeamArrays, LoadLoop, VehicleLoop]
+Leaves = tuple[Any, ...]
+"""Fields of a NamedTuple as a plain tuple, which enters compiled code in a third of the time."""
+
+
+@njit
+def fly_from_python(
+    params: tuple[Leaves, Leaves, Leaves],
+    x: Array,
+    plan: Leaves,
+    clock: tuple[float, float, float],
+    yaw: Array,
+    which: tuple[int, int],
+    wanted: Leaves,
+    out: Leaves,
+) -> int:
+    """`fly_vehicles` for callers that are not compiled; NamedTuples come as their fields."""
+    team, load, loop = params
+    params_in = (TeamArrays(*team), LoadLoop(*load), VehicleLoop(*loop))
+    plan_in, wanted_in = PlanArrays(*plan), Wanted(*wanted)
+    return fly_vehicles(params_in, x, plan_in, clock, yaw, which, wanted_in, Output(*out))
+
+
 @njit
 def fly_vehicles(
-    params: tuple[TeamArrays, LoadLoop, VehicleLoop],
+    params: Params,
     x: Array,
     plan: PlanArrays,
     clock: tuple[float, float, float],

@@ -8,6 +8,7 @@ import numpy as np
 
 from skyhaul.geometry.kernels import R_to_quat, quat_inv_rotate
 from skyhaul.geometry.shapes import BOX, CAPSULE, SPHERE, Shape, shape_size
+from skyhaul.jit import njit
 from skyhaul.model.team import Team
 from skyhaul.perception.api import Track
 from skyhaul.types import US_PER_S, Array, Mask, TimeUs
@@ -55,6 +56,24 @@ def odometry(t_us: TimeUs, child: str, body: Array, pose_cov: Array, twist_cov: 
 def twist(body: Array) -> Leaves:
     """geometry_msgs/Twist of a body state (13,), in the body's axes."""
     return *quat_inv_rotate(body[3:7], body[7:10]), *body[10:13].tolist()
+
+
+def poses_and_twists(bodies: Array) -> tuple[list[list[float]], list[list[float]]]:
+    """What `pose` and `twist` give for each of some body states, (k, 13)."""
+    out = np.empty_like(bodies)
+    _reorder(bodies, out)
+    rows = out.tolist()
+    return [row[:7] for row in rows], [row[7:] for row in rows]
+
+
+@njit
+def _reorder(bodies: Array, out: Array) -> None:
+    """Body states (k, 13) as x, y, z, qx, qy, qz, qw, then velocity and rate in body axes."""
+    for k in range(bodies.shape[0]):
+        b, o = bodies[k], out[k]
+        o[0], o[1], o[2], o[3], o[4], o[5], o[6] = b[0], b[1], b[2], b[4], b[5], b[6], b[3]
+        o[7], o[8], o[9] = quat_inv_rotate(b[3:7], b[7:10])
+        o[10], o[11], o[12] = b[10], b[11], b[12]
 
 
 def marker(

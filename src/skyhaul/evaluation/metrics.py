@@ -28,13 +28,13 @@ NOT_YET = (
 """Keys of stages that a run on true perception does not have."""
 
 
-def evaluate(folder: Path | str, energy: EnergyModel | None = None) -> Metrics:
-    """Compute the metrics of a run and write `metrics.json` into its folder.
+def evaluate(run: Run | Path | str, energy: EnergyModel | None = None) -> Metrics:
+    """Compute the metrics of a run, or of that in a folder; write its `metrics.json`.
 
     Raises:
         FileError: when the folder holds no run.
     """
-    run = load_run(folder)
+    run = run if isinstance(run, Run) else load_run(run)
     metrics = run_metrics(run, energy or EnergyModel())
     write_json(run.folder / METRICS, metrics)
     return metrics

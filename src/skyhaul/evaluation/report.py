@@ -11,20 +11,20 @@ from skyhaul.evaluation.figures import write_figure
 from skyhaul.evaluation.folder import CONFIG, REPORT
 from skyhaul.evaluation.metrics import run_metrics
 from skyhaul.evaluation.report_data import Data, report_data
-from skyhaul.evaluation.series import load_run
+from skyhaul.evaluation.series import Run, load_run
 
 _SCRIPTS = ("data.js", "math.js", "meshes.js", "renderer.js", "scene.js", "charts.js", "player.js")
 """Our scripts, in the order in which they are loaded."""
 
 
-def write_report(folder: Path | str, video: bool = False) -> Path:
+def write_report(run: Run | Path | str, video: bool = False) -> Path:
     """Write `report.html` and `flight.png` of a run, and `flight.mp4` if asked for.
 
     Raises:
         FileError: when the folder holds no run.
         PlatformError: when a video is wanted and its packages are not installed.
     """
-    run = load_run(folder)
+    run = run if isinstance(run, Run) else load_run(run)
     data = report_data(run, run_metrics(run, EnergyModel()))
     config = (run.folder / CONFIG).read_text(encoding="utf-8")
     path = run.folder / REPORT

@@ -12,7 +12,8 @@ from skyhaul.evaluation.metrics import Metrics, attitude_error, position_error, 
 from skyhaul.evaluation.series import Run
 from skyhaul.evaluation.table import table_lines
 from skyhaul.geometry.shapes import Shape, shape_size
-from skyhaul.types import Array
+from skyhaul.jit import njit
+from skyhaul.types import Array, IntArray
 from skyhaul.world.scenario import GoTo
 
 FRAME_S = 0.04
@@ -246,15 +247,25 @@ def _envelope(t_s: Array, low: Array, high: Array) -> Array:
     edges = _edges(t_s)
     if not len(edges):
         return np.zeros(0)
-    ends = np.append(edges[1:], len(t_s))
-    out = np.full((len(edges), 2), np.nan)
-    for k, (a, b) in enumerate(zip(edges, ends, strict=True)):
-        lo, hi = low[a:b], high[a:b]
-        if np.all(np.isnan(lo)) or np.all(np.isnan(hi)):
-            continue
-        i, j = int(np.nanargmin(lo)), int(np.nanargmax(hi))
-        out[k] = (lo[i], hi[j]) if i <= j else (hi[j], lo[i])
+    out = np.empty((len(edges), 2))
+    _fill_envelope(edges, np.array(low, float), np.array(high, float), out)
     return out.ravel()
+
+
+@njit
+def _fill_envelope(edges: IntArray, low: Array, high: Array, out: Array) -> None:
+    """Kernel of `_envelope`: nan where a bucket, `edges[k]` to `edges[k + 1]`, has no number."""
+    for k in range(len(edges)):
+        end = edges[k + 1] if k + 1 < len(edges) else len(low)
+        i = j = -1
+        for r in range(edges[k], end):
+            if not np.isnan(low[r]) and (i < 0 or low[r] < low[i]):
+                i = r
+            if not np.isnan(high[r]) and (j < 0 or high[r] > high[j]):
+                j = r
+        out[k, 0] = out[k, 1] = np.nan
+        if i >= 0 and j >= 0:
+            out[k, 0], out[k, 1] = (low[i], high[j]) if i <= j else (high[j], low[i])
 
 
 def _pack(values: NDArray[Any], dtype: type = np.float32) -> str:

@@ -9,7 +9,7 @@ from skyhaul.evaluation.ros2.cdr import Stencil, codec
 from skyhaul.geometry.quaternion import quat_rotate
 from skyhaul.mission.api import Tick
 from skyhaul.plant.api import Truth
-from skyhaul.types import ERR_P, ERR_R, ERR_V, ERR_W, Array, IntArray, TimeUs
+from skyhaul.types import ERR_P, ERR_R, ERR_V, ERR_W, IntArray, TimeUs
 from skyhaul.world.scenario import Scenario
 
 POSE_PERIOD_US: TimeUs = 20_000
@@ -18,6 +18,9 @@ MARKER_PERIOD_US: TimeUs = 50_000
 """Markers of the team and of moving obstacles [us]."""
 
 _EXACT = np.zeros(36)
+_POSE_OF_COV = np.ix_(np.r_[ERR_P, ERR_R], np.r_[ERR_P, ERR_R])
+_TWIST_OF_COV = np.ix_(np.r_[ERR_V, ERR_W], np.r_[ERR_V, ERR_W])
+"""Where ROS's two covariances stand in the load's."""
 
 
 class TeamLog:
@@ -60,9 +63,10 @@ class TeamLog:
         bodies[1:, 0:3], bodies[1:, 3:7] = team.p_WB, team.q_WB
         bodies[1:, 7:10], bodies[1:, 10:13] = team.v_WB, team.w_WB_B
         at, frames = messages.stamp(t_us), list[float]()
-        for topic, stencil, body in zip(self._topics, self._odometry, bodies, strict=True):
-            where = (*at, *messages.pose(body[0:3], body[3:7]))
-            data = stencil.fill((*where, *messages.twist(body)))
+        poses, twists = messages.poses_and_twists(bodies)
+        for k, (topic, stencil) in enumerate(zip(self._topics, self._odometry, strict=True)):
+            where = (*at, *poses[k])
+            data = stencil.fill((*where, *twists[k]))
             log.write_encoded(topic, "nav_msgs/Odometry", t_us, data)
             frames += where
         log.write_encoded("/tf", "tf2_msgs/TFMessage", t_us, self._transforms.fill(frames))
@@ -72,8 +76,8 @@ class TeamLog:
             t_us,
             "payload_estimate",
             estimate.team.load,
-            _ros_covariance(cov, ERR_P, ERR_R),
-            _ros_covariance(cov, ERR_V, ERR_W),
+            np.ravel(cov[_POSE_OF_COV]),
+            np.ravel(cov[_TWIST_OF_COV]),
         )
         log.write("/payload/estimate", "nav_msgs/Odometry", t_us, *leaves)
         if np.isfinite(tick.reference[0]):
@@ -115,9 +119,3 @@ def _stencils(names: list[str]) -> tuple[list[Stencil], Stencil]:
     leaves = [messages.odometry(0, name, rest, _EXACT, _EXACT) for name in names]
     odometry = [codec("nav_msgs/Odometry").stencil(*one) for one in leaves]
     return odometry, codec("tf2_msgs/TFMessage").stencil([one[:11] for one in leaves])
-
-
-def _ros_covariance(cov: Array, first: slice, second: slice) -> Array:
-    """Two blocks of the load's covariance in the order of ROS, (36,)."""
-    order = np.r_[first, second]
-    return np.ravel(cov[np.ix_(order, order)])

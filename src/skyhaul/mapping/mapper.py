@@ -86,9 +86,11 @@ class Mapper:
         """Take obstacles in; `team` is where the window rolls to and, at first, the column."""
         m = self._static_step(memory, obstacles.statics, team.p_WL)
         changed = m.version != memory.version
-        low, high = _changed_region(memory.statics, obstacles.statics)
         before = {t.track_id for t in memory.tracks}
         now = {t.track_id for t in obstacles.tracks}
+        low, high = _changed_region(
+            memory.statics, obstacles.statics if changed else memory.statics
+        )
         planned = {t.track_id: t for t in memory.planned}
         strayed = tuple(
             t.track_id
@@ -102,8 +104,8 @@ class Mapper:
         m = replace(m, tracks=obstacles.tracks, planned=kept)
         change = MapChange(
             stamp_us=obstacles.stamp_us,
-            changed_min=low if changed else np.full(3, np.inf),
-            changed_max=high if changed else np.full(3, -np.inf),
+            changed_min=low,
+            changed_max=high,
             born=tuple(sorted(now - before)),
             died=tuple(sorted(before - now)),
             strayed=strayed,
@@ -124,9 +126,7 @@ class Mapper:
                 version=memory.version + 1,
             )
         assert memory.fine is not None
-        old, new = _by_id(memory.statics), _by_id(statics)
-        differing = [o for i, o in old.items() if new.get(i) is not o and not _same(o, new.get(i))]
-        differing += [o for i, o in new.items() if not _same(o, old.get(i))]
+        new, differing = _by_id(statics), _differing(memory.statics, statics)
         fine, coarse = memory.fine, memory.coarse
         if self._window_left(fine, p_WL):
             cells = np.array(fine.grid.occupied.shape)
@@ -269,15 +269,21 @@ def _volume(box: IntArray, grow: IntArray) -> float:
     return float(np.prod(box[1] - box[0] + 2 * grow))
 
 
+def _differing(old: tuple[StaticObject, ...], new: tuple[StaticObject, ...]) -> list[StaticObject]:
+    """Objects that came, went or changed: as they were, then as they are."""
+    if old == new:
+        return []
+    a, b = _by_id(old), _by_id(new)
+    gone = [o for i, o in a.items() if not _same(o, b.get(i))]
+    return gone + [o for i, o in b.items() if not _same(o, a.get(i))]
+
+
 def _changed_region(
     old: tuple[StaticObject, ...], new: tuple[StaticObject, ...]
 ) -> tuple[Array, Array]:
     """Smallest and largest corner of all objects that came, went or changed, (3,) each [m]."""
-    a, b = _by_id(old), _by_id(new)
-    differing = [o for i, o in a.items() if not _same(o, b.get(i))]
-    differing += [o for i, o in b.items() if not _same(o, a.get(i))]
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for obj in differing:
+    for obj in _differing(old, new):
         first, last = shape_extent(obj)
         low, high = np.minimum(low, first), np.maximum(high, last)
     return low, high

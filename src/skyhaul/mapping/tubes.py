@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tracks as arrays at one time, and when a track has left the tube that was predicted for it."""
 
+from functools import cache
+
 import numpy as np
 
 from skyhaul.geometry.shapes import shape_size
 from skyhaul.perception.api import Track, TrackArrays
 from skyhaul.types import US_PER_S, TimeUs
 
+_solid = cache(shape_size)
+
 
 def track_arrays(tracks: tuple[Track, ...], stamp_us: TimeUs) -> TrackArrays:
     """Tracks brought to one stamp: moved on at their velocity, tubes grown by as much time."""
     m = len(tracks)
     dt = np.array([(stamp_us - t.stamp_us) / US_PER_S for t in tracks])
-    rows = [shape_size(t.shape) for t in tracks]
+    rows = [_solid(t.shape) for t in tracks]
     p_WO = np.array([t.p_WO for t in tracks]).reshape(m, 3)
     v_WO = np.array([t.v_WO for t in tracks]).reshape(m, 3)
     return TrackArrays(

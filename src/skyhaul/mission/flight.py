@@ -15,10 +15,10 @@ from skyhaul.mission.loop import cycle
 from skyhaul.mission.setup import build_stack
 from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.mission.ticks import TickMaker
-from skyhaul.mission.vehicle import Actuation
+from skyhaul.mission.vehicle import Actuation, command_of
 from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
 from skyhaul.plant.mujoco_plant import MujocoPlant
-from skyhaul.types import US_PER_S, TimeUs
+from skyhaul.types import US_PER_S, Array, TimeUs
 from skyhaul.world.scenario import GoTo
 
 OBSTACLE_PERIOD_US = 20_000
@@ -94,10 +94,13 @@ class Flight:
                 estimate, obstacles = self._perceive(t_us)
             with self._watch.stage("agents"):
                 actuations = cycle(self._crew, t_us, estimate, obstacles)
+                command = command_of(actuations)
             with self._watch.stage("logging"):
-                self._record(estimate, actuations)
+                self._recorder.tick(
+                    self._ticks.make(self._truth, estimate, self._crew.leader, command)
+                )
             with self._watch.stage("plant"):
-                self._actuate(actuations)
+                self._actuate(actuations, command.rotor_cmd)
             if progress is not None and t_us % _PROGRESS_PERIOD_US == 0:
                 progress(self._progress(t_us, estimate))
             if t_us % _JUDGE_PERIOD_US == 0:
@@ -128,17 +131,13 @@ class Flight:
         self._obstacle_memory, obstacles = perception.obstacles.step(self._obstacle_memory, reading)
         return estimate, obstacles
 
-    def _actuate(self, actuations: list[Actuation]) -> None:
+    def _actuate(self, actuations: list[Actuation], rotor_cmd: Array) -> None:
         for i, act in enumerate(actuations):
             if act.release:
                 self._plant.release_hook(i)
             if act.attach:
                 self._plant.attach_hook(i)
-        self._truth = self._plant.step(np.array([a.rotor_cmd for a in actuations]))
-
-    def _record(self, estimate: TeamEstimate, actuations: list[Actuation]) -> None:
-        leader = self._crew.leader
-        self._recorder.tick(self._ticks.make(self._truth, estimate, leader, actuations))
+        self._truth = self._plant.step(rotor_cmd)
 
     def _progress(self, t_us: TimeUs, estimate: TeamEstimate) -> FlightProgress:
         task, p_WL = self._config.task, estimate.team.p_WL

@@ -42,7 +42,6 @@ from skyhaul.types import (
 
 LOOK_PERIOD_US = 10_000
 """The load is held against its plan this often; other causes are looked for at every tick [us]."""
-_ON_PLAN = np.zeros(LOAD_NE)
 
 
 class ForcePlanning:
@@ -82,7 +81,7 @@ class ForcePlanning:
         view = SolveView(
             age_s=(t_us - plan.stamp_us) / US_PER_S,
             plan_s=float(plan.node_s[-1]),
-            error=self._error(t_us, estimate.team.load) if look else _ON_PLAN,
+            error=self._error(t_us, estimate.team.load) if look else None,
             clearance_m=clearance_m,
             reference_changed=self._reference_changed,
             fault=self._fault,

@@ -68,7 +68,7 @@ class Leader:
         self._task_reference: SplineReference | None = None
         self._reaches_goal = False
         self._waits = False  # the reference in force rests on its way
-        self._enough_left = True
+        self._any_left = self._enough_left = True
         self._heading: HeadingPlan | None = None
         self._last_replan_us = -US_PER_S
         self._phase_since_us = -1
@@ -88,7 +88,8 @@ class Leader:
         left = ", ".join(str(i) for i in np.flatnonzero(active))
         self._recorder.trigger(Trigger(t_us, "fault", f"vehicles {left} carry on"))
         self.forces.fault(t_us)
-        if not active.any():
+        self._any_left = bool(active.any())
+        if not self._any_left:
             self._enough_left = False
             return
         rest = rest_after_loss(self._stack.team, tuple(bool(a) for a in active))
@@ -286,7 +287,7 @@ class Leader:
             t_us - self._phase_since_us < self._stack.mission.spool_s * US_PER_S
         )
         on_station = self.phase in (Phase.FLY_IN, Phase.TAUTEN)
-        if self.reference is None or spooling or on_station or not self.active.any():
+        if self.reference is None or spooling or on_station or not self._any_left:
             return None
         return self.forces.due(t_us, estimate, self._clearance_m)
 

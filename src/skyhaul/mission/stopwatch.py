@@ -16,12 +16,15 @@ class Stopwatch:
     def __init__(self) -> None:
         self._wall_s: dict[str, float] = defaultdict(float)
         self._began = (time.perf_counter(), time.process_time())
+        self._stages: dict[str, _Stage] = {}
         self._open: list[str] = []
         self._since = 0.0
 
     def stage(self, name: str) -> "_Stage":
         """Count what runs inside under a stage."""
-        return _Stage(self, name)
+        if name not in self._stages:
+            self._stages[name] = _Stage(self, name)
+        return self._stages[name]
 
     def cpu_s(self) -> dict[str, float]:
         """CPU time by stage so far [s]."""

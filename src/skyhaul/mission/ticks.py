@@ -10,7 +10,6 @@ from skyhaul.geometry.kernels import R_to_quat
 from skyhaul.geometry.so3 import vee
 from skyhaul.mission.api import AIRBORNE, Tick
 from skyhaul.mission.leader import Leader
-from skyhaul.mission.vehicle import Actuation
 from skyhaul.model.flatness import flat_outputs
 from skyhaul.model.team import Team
 from skyhaul.perception.api import TeamEstimate
@@ -50,15 +49,15 @@ class TickMaker:
         self._force, self._thrust = np.full((n, 3), np.nan), np.full(n, np.nan)
         self._flat_dir = np.full((n, 3), np.nan)
         self._rows: ReferenceRows | None = None
-        self._command = _command_of([])
+        self._command: VehicleCommand | None = None
 
     def make(
-        self, truth: Truth, estimate: TeamEstimate, leader: Leader, actuations: list[Actuation]
+        self, truth: Truth, estimate: TeamEstimate, leader: Leader, command: VehicleCommand
     ) -> Tick:
         """The record of one step."""
-        if truth.stamp_us % PLAN_PERIOD_US == 0:
+        if truth.stamp_us % PLAN_PERIOD_US == 0 or self._command is None:
             self._sample(truth.stamp_us, leader)
-            self._command = _command_of(actuations)
+            self._command = command
         return Tick(
             truth=truth,
             estimate=estimate,
@@ -91,17 +90,6 @@ def rows_ahead(team: Team, reference: Reference, active: Mask, t_us: TimeUs) -> 
     flat = flat_outputs(team, sample.p_WD, sample.R_WD, yaw, active)
     cable_dir_W = np.ascontiguousarray(flat.cable_dir_W[:, 0])
     return ReferenceRows(reference, active, t_us, loads_of(sample), cable_dir_W)
-
-
-def _command_of(actuations: list[Actuation]) -> VehicleCommand:
-    """What the agents ask of their hardware, one row each."""
-    return VehicleCommand(
-        thrust=np.array([a.thrust for a in actuations]),
-        moment_B=np.array([a.moment_B for a in actuations]),
-        force_W=np.array([a.force_W for a in actuations]),
-        dforce_W=np.array([a.dforce_W for a in actuations]),
-        rotor_cmd=np.array([a.rotor_cmd for a in actuations]),
-    )
 
 
 def loads_of(sample: RefSample) -> Array:

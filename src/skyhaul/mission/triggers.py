@@ -7,6 +7,7 @@ along the reference in force. Both are decided here, by pure functions of what i
 
 import math
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -22,7 +23,8 @@ class SolveView(NamedTuple):
 
     age_s: float  # since the plan in force was solved [s]
     plan_s: float  # length of the plan in force [s]
-    error: Array  # (12,) measured load against the planned one, layout of `types.ERR_P`
+    error: Array | None  # (12,) measured load against the planned one, layout of `types.ERR_P`;
+    # None: not looked at now
     clearance_m: float  # smallest clearance along the plan, movers at their predicted places [m]
     reference_changed: bool
     fault: bool  # the set of carrying cables changed
@@ -89,7 +91,7 @@ class EventTrigger(Params):
             return None
         if view.failed:
             return "solver_failure"
-        if self.tube.measure(view.error) > 1.0:
+        if view.error is not None and self.tube.measure(view.error) > 1.0:
             return "tube_exit"
         limit = self.max_age_near_s if view.clearance_m < self.near_m else self.max_age_s
         return "plan_age" if view.age_s >= min(limit, 0.5 * view.plan_s) else None
@@ -199,11 +201,18 @@ def predicted_clearance(
     Returns:
         Clearance [m] and time [s]; the time is inf when the margin is kept all along.
     """
-    ahead_s = np.arange(0.0, params.horizon_s + 1e-9, params.step_s)
-    times = t_us + np.round(ahead_s * US_PER_S)
+    ahead_s, ahead_us = _ahead(params.horizon_s, params.step_s)
+    times = t_us + ahead_us
     clear = world_map.clearance(reference.sample(times).p_WD[:, 0], times)
     low = np.flatnonzero(clear < params.margin_m)
     return float(clear.min()), float(ahead_s[low[0]]) if low.size else np.inf
+
+
+@cache
+def _ahead(horizon_s: float, step_s: float) -> tuple[Array, Array]:
+    """Times of the watched places after now [s] [us]."""
+    ahead_s = np.arange(0.0, horizon_s + 1e-9, step_s)
+    return ahead_s, np.round(ahead_s * US_PER_S)
 
 
 def replan_cause(params: ReplanTriggers, view: ReplanView) -> str | None:

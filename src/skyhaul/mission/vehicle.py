@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """One vehicle's agent: it follows the leader's order and plan, 500 times a second."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from skyhaul.comms.api import Bus
 from skyhaul.comms.messages import FAULT, STATUS, Fault, Order, PlanMessage, Status
+from skyhaul.control.api import VehicleCommand
 from skyhaul.control.failure import Rotor
 from skyhaul.geometry.kernels import quat_rotate
 from skyhaul.mission.api import Phase
@@ -26,17 +27,45 @@ _STATION_PHASES = (Phase.FLY_IN.value, Phase.TAUTEN.value)
 _LIFT = Phase.LIFT.value
 
 
-@dataclass(frozen=True, eq=False)
-class Actuation:
+class Actuation(NamedTuple):
     """What one agent asks of its hardware."""
 
-    rotor_cmd: Array  # (4,) [N]
-    thrust: float  # total asked for [N]
-    moment_B: Array  # (3,) [N m]
-    force_W: Array  # (3,) force of the cable on the load that was aimed at [N]
-    dforce_W: Array  # (3,) [N/s]
+    command: VehicleCommand  # of one or all vehicles
+    row: int  # which of its rows is the agent's own
     release: bool = False  # open the own hook
     attach: bool = False  # close the own hook
+
+    @property
+    def rotor_cmd(self) -> Array:
+        """Rotor thrusts to ask for, (4,) [N]."""
+        rotors: Array = self.command.rotor_cmd[self.row]
+        return rotors
+
+    @property
+    def thrust(self) -> float:
+        """Total thrust asked for [N]."""
+        return float(self.command.thrust[self.row])
+
+    @property
+    def force_W(self) -> Array:
+        """Force of the cable on the load that is aimed at, (3,) [N]."""
+        force: Array = self.command.force_W[self.row]
+        return force
+
+
+def command_of(actuations: list[Actuation]) -> VehicleCommand:
+    """What all agents ask of their hardware, one row each."""
+    first = actuations[0].command
+    if all(a.command is first for a in actuations):
+        return first
+    own = [(a.command, a.row) for a in actuations]
+    return VehicleCommand(
+        thrust=np.array([c.thrust[i] for c, i in own]),
+        moment_B=np.array([c.moment_B[i] for c, i in own]),
+        force_W=np.array([c.force_W[i] for c, i in own]),
+        dforce_W=np.array([c.dforce_W[i] for c, i in own]),
+        rotor_cmd=np.array([c.rotor_cmd[i] for c, i in own]),
+    )
 
 
 class VehicleAgent:
@@ -77,7 +106,8 @@ class VehicleAgent:
                     self.faulty |= {fault.vehicle}
                 case Status() as status:
                     statuses.append(status)
-                    self.faulty |= set(np.flatnonzero(status.faulty).tolist())
+                    if True in status.faulty.tolist():
+                        self.faulty |= set(np.flatnonzero(status.faulty).tolist())
         return statuses
 
     def report(self, t_us: TimeUs, estimate: TeamEstimate) -> Status | None:
@@ -147,7 +177,7 @@ class VehicleAgent:
 
     def _plan_without_the_lost(self, t_us: TimeUs, plan: PlanMessage) -> PlanMessage:
         """The leader's plan, unless it counts on a vehicle that is known to be faulty."""
-        if not any(plan.plan.active[j] for j in self.faulty):
+        if not self.faulty or not any(plan.plan.active[j] for j in self.faulty):
             return plan
         if self._makeshift is None or self._makeshift[0] is not plan:
             active = np.array([j not in self.faulty for j in range(self._stack.team.count)])
@@ -163,10 +193,7 @@ class VehicleAgent:
     def _carry(self, estimate: TeamEstimate, message: PlanMessage, share: float) -> Actuation:
         """Follow the force plan with cable and attitude control."""
         i = self.index
-        c = self._tracking.command(i, estimate, message, share)
-        return Actuation(
-            c.rotor_cmd[i], float(c.thrust[i]), c.moment_B[i], c.force_W[i], c.dforce_W[i]
-        )
+        return Actuation(self._tracking.command(i, estimate, message, share), i)
 
     def _to_station(self, estimate: TeamEstimate, *, retreat: bool) -> Actuation:
         """Fly to the station over the load and tauten the cable; back again on a retreat."""
@@ -232,12 +259,10 @@ class VehicleAgent:
         rotors, thrust, moment = self._stack.free_flight.step_one(
             estimate.team, self.index, np.array(target), self._outward
         )
-        nothing = np.zeros(3)
-        return Actuation(rotors, thrust, moment, nothing, nothing, attach=attach)
+        return Actuation(_one_row(rotors, thrust, moment), 0, attach=attach)
 
     def _idle(self, *, release: bool = False) -> Actuation:
-        nothing = np.zeros(3)
-        return Actuation(np.zeros(4), 0.0, nothing, nothing, nothing, release=release)
+        return Actuation(_one_row(np.zeros(4), 0.0, np.zeros(3)), 0, release=release)
 
     def _station_in_s(self) -> float:
         """Time until the station is reached [s]; inf while parked."""
@@ -248,6 +273,12 @@ class VehicleAgent:
     def _arrived(self) -> bool:
         route = self._route
         return route is not None and self._stack.mission.station.arrived(route)
+
+
+def _one_row(rotors: Array, thrust: float, moment: Array) -> VehicleCommand:
+    """The command of one vehicle that aims at no cable force."""
+    nothing = np.zeros((1, 3))
+    return VehicleCommand(np.array([thrust]), moment[None], nothing, nothing, rotors[None])
 
 
 def _stamp_us(message: Order | PlanMessage | None) -> TimeUs:

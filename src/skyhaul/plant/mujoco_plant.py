@@ -6,26 +6,16 @@ import numpy as np
 
 from skyhaul.errors import ConfigError, SkyhaulError
 from skyhaul.geometry.distance import bounding_radius
+from skyhaul.geometry.shapes import ShapeArrays
 from skyhaul.model.envelope import team_shape
 from skyhaul.model.mixer import mixer_matrix
 from skyhaul.model.state import CableState, TautState, TeamState
 from skyhaul.plant.api import PLANT_STEP_US, Contact, Truth
 from skyhaul.plant.build import OPEN_M, build_model, place, relax, set_taut_state
-from skyhaul.plant.clearance import (
-    Surroundings,
-    room_distance,
-    touch_memory,
-    update_touches,
-)
+from skyhaul.plant.clearance import Surroundings, room_distance, touch_memory
+from skyhaul.plant.cycle import drive, look, move
 from skyhaul.plant.events import EventQueue
-from skyhaul.plant.observe import (
-    Constraints,
-    observe,
-    place_obstacles,
-    team_bodies,
-    write_forces,
-)
-from skyhaul.plant.rotors import rotor_lag
+from skyhaul.plant.observe import observation, team_bodies, write_forces
 from skyhaul.plant.start import start_state
 from skyhaul.plant.wind import is_calm, wind_model
 from skyhaul.types import US_PER_S, Array, IntArray, Mask, TimeUs, frozen
@@ -89,14 +79,15 @@ class MujocoPlant:
         for i in np.flatnonzero(~self._attached):
             self._open(int(i))
         d = self._data
-        self._inputs = (d.ctrl, d.xfrc_applied)
-        self._views = (d.qpos, d.qvel, d.qacc)
+        self._inputs, self._constants = (d.ctrl, d.xfrc_applied), (self._mixer, self._drag)
+        self._views, self._mocap = (d.qpos, d.qvel, d.qacc), d.mocap_pos
         self._hooks_changed = False
-        self._masks = (self._alive.copy(), self._attached.copy())
+        self._masks: tuple[Mask, Mask] | None = None
         self._bodies = team_bodies(team)
         self._touches = touch_memory(team.count, len(self._field.names))
         self._present = np.full(len(shapes.kind), self._field.always)
         self._wind_W = self._wind.at(self._air, 0.0)
+        frozen(self._present, self._wind_W)
         self._move_obstacles(start.p_WL.copy())
         self._write(self._rotors)
         place(self._model, d, start)
@@ -117,14 +108,14 @@ class MujocoPlant:
                 f"rotor_cmd must have shape {self._rotors.shape}, got {command.shape}"
             )
         self._play_events()
-        mean = np.empty_like(self._rotors)
-        rotor_lag(self._team, self._alive, command, STEP_S, self._rotors, mean)
-        self._write(mean)
+        now = (command, self._alive, self._wind_W)
+        drive(tuple(self._team), self._inputs, self._constants, now, self._rotors, STEP_S)
         self._integrate()
         self._t_us += PLANT_STEP_US
         if self._gusty:
             self._wind.step(self._air)
             self._wind_W = self._wind.at(self._air, self._t_us / US_PER_S)
+            frozen(self._wind_W)
         self._move_obstacles(self._views[0][:3])
         mujoco.mj_forward(self._model, self._data)
         self._truth = self._observe()
@@ -155,14 +146,14 @@ class MujocoPlant:
 
     def release_hook(self, i: int) -> None:
         """Open the quick-release hook of cable i: it falls away with its vehicle."""
-        self._attached[i] = False
+        self._attached[i], self._masks = False, None
         self._open(i)
 
     def attach_hook(self, i: int) -> bool:
         """Close hook i; False when the vehicle is farther from it than the cable is long."""
         reaches = self._truth.cables.length[i] <= self._team.length[i]
         if reaches and not self._cut[i]:
-            self._attached[i] = True
+            self._attached[i], self._masks = True, None
             self._model.tendon_range[i, 1] = self._team.length[i]
             self._hooks_changed = True
         return bool(self._attached[i])
@@ -174,7 +165,7 @@ class MujocoPlant:
     def _play_events(self) -> None:
         for event in self._events.due(self._t_us, self._truth.team.p_WL):
             if event.kind == "vehicle-dies":
-                self._alive[event.vehicle] = False
+                self._alive[event.vehicle], self._masks = False, None
             else:
                 self._cut[event.vehicle] |= event.kind == "cable-cut"
                 self.release_hook(event.vehicle)
@@ -184,25 +175,33 @@ class MujocoPlant:
 
     def _move_obstacles(self, p_WL: Array) -> None:
         """Obstacles to where they are now, with the load at p_WL, (3,) [m]."""
-        field = self._field
-        p_WO, v_WO = field.state_at(self._t_us)
+        field, m = self._field, len(self._present)
         if not field.always:
             self._present = self._present | field.present(self._t_us, p_WL.copy())
             frozen(self._present)
-        place_obstacles(self._data.mocap_pos, p_WO, self._present)
-        self._obstacles = (field.shapes._replace(p_WO=p_WO), v_WO)
+        p_WO, v_WO, t_s = np.empty((m, 3)), np.empty((m, 3)), self._t_us / US_PER_S
+        move(tuple(field.motions), t_s, self._present, self._mocap, p_WO, v_WO)
+        kind, size, _, R_WO = field.shapes
+        self._obstacles = (ShapeArrays(kind, size, p_WO, R_WO), v_WO)
 
     def _observe(self) -> Truth:
         """Read MuJoCo out after a forward pass at the present state."""
-        d = self._data
-        rows = Constraints(d.efc_type, d.efc_id, d.efc_force)
-        o = observe(self._team, *self._views, rows, self._bodies)
-        if not o.finite:
-            raise SkyhaulError(f"the plant diverged at {self._t_us / US_PER_S:.3f} s")
+        d, o = self._data, observation(len(self._alive))
         obstacles, v_WO = self._obstacles
-        around = Surroundings(obstacles, self._reach, self._present, *self._room)
         alive, attached = self._masks_now()
-        clearance, begun = update_touches(self._bodies, self._attached, around, self._touches)
+        finite, clearance, begun = look(
+            tuple(self._team),
+            self._views,
+            (d.efc_type, d.efc_id, d.efc_force),
+            tuple(self._bodies),
+            tuple(o),
+            self._attached,
+            tuple(obstacles),
+            (self._reach, self._present, *self._room),
+            tuple(self._touches),
+        )
+        if not finite:
+            raise SkyhaulError(f"the plant diverged at {self._t_us / US_PER_S:.3f} s")
         return Truth(
             stamp_us=self._t_us,
             team=TeamState(o.p_WL, o.q_WL, o.v_WL, o.w_WL_L, o.p_WB, o.q_WB, o.v_WB, o.w_WB_B),
@@ -221,8 +220,7 @@ class MujocoPlant:
 
     def _masks_now(self) -> tuple[Mask, Mask]:
         """Which vehicles are alive and attached; the same arrays as long as none changes."""
-        alive, attached = self._masks
-        if bytes(alive) != bytes(self._alive) or bytes(attached) != bytes(self._attached):
+        if self._masks is None:
             self._masks = (self._alive.copy(), self._attached.copy())
         return self._masks
 

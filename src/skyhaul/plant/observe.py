@@ -19,7 +19,7 @@ TENDON_LIMIT = int(mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON)
 
 
 class Observation(NamedTuple):
-    """Fields of `TeamState`, `CableState`, `Truth`, same names; `finite`: the accelerations are."""
+    """Fields of `TeamState`, `CableState`, `Truth`, same names."""
 
     p_WL: Array
     q_WL: Array
@@ -34,7 +34,14 @@ class Observation(NamedTuple):
     tension: Array
     length: Array
     accel_W: Array
-    finite: bool
+
+
+def observation(n: int) -> Observation:
+    """Memory for what is read out of n vehicles."""
+    load = (np.empty(3), np.empty(4), np.empty(3), np.empty(3))
+    vehicles = (np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 3)))
+    cables = (np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty(n))
+    return Observation(*load, *vehicles, *cables, np.empty((1 + n, 3)))
 
 
 class Constraints(NamedTuple):
@@ -67,8 +74,9 @@ def observe(
     qacc: Array,
     constraints: Constraints,
     bodies: ShapeArrays,
-) -> Observation:
-    """Read the state out into fresh arrays, and pose the team's `bodies` in place.
+    out: Observation,
+) -> bool:
+    """Read the state out, and pose the team's `bodies` in place.
 
     Args:
         team: The team.
@@ -78,9 +86,12 @@ def observe(
         constraints: Those of the forward pass at this state; a cable's tension is the force of
             its tendon's limit.
         bodies: As `team_bodies` makes them.
+        out: Written.
+
+    Returns:
+        Whether the accelerations are finite.
     """
     n = team.m_B.shape[0]
-    out = _allocate(n, _all_finite(qacc))
     nq, nv = (7, 6) if team.rigid else (3, 3)
     for c in range(3):
         out.p_WL[c], out.v_WL[c], out.accel_W[0, c] = qpos[c], qvel[c], qacc[c]
@@ -101,35 +112,10 @@ def observe(
     for k in range(constraints.kind.shape[0]):
         if constraints.kind[k] == TENDON_LIMIT:
             out.tension[constraints.which[k]] = constraints.force[k]
-    return out
-
-
-@njit
-def _all_finite(a: Array) -> bool:
     finite = True
-    for x in a:
-        finite = finite and math.isfinite(x)
+    for a in qacc:
+        finite = finite and math.isfinite(a)
     return finite
-
-
-@njit
-def _allocate(n: int, finite: bool) -> Observation:
-    return Observation(
-        np.empty(3),
-        np.empty(4),
-        np.empty(3),
-        np.empty(3),
-        np.empty((n, 3)),
-        np.empty((n, 4)),
-        np.empty((n, 3)),
-        np.empty((n, 3)),
-        np.empty((n, 3)),
-        np.empty((n, 3)),
-        np.empty(n),
-        np.empty(n),
-        np.empty((1 + n, 3)),
-        finite,
-    )
 
 
 @njit

@@ -74,7 +74,10 @@ class MovingObstacles:
 
     def state_at(self, t_us: TimeUs) -> tuple[Array, Array]:
         """Centres (m, 3) [m] and velocities (m, 3) [m/s], fresh arrays."""
-        return _motion_state(self.motions, t_us / US_PER_S)
+        m = len(self.names)
+        p_WO, v_WO = np.empty((m, 3)), np.empty((m, 3))
+        motion_state(self.motions, t_us / US_PER_S, p_WO, v_WO)
+        return p_WO, v_WO
 
     def shapes_at(self, t_us: TimeUs) -> ShapeArrays:
         """Shapes at a time; the centres are a fresh array."""
@@ -241,11 +244,9 @@ def _appearance_table(obstacles: tuple[Obstacle, ...], shape: TeamShape | None) 
 
 
 @njit
-def _motion_state(table: MotionTable, t: float) -> tuple[Array, Array]:
-    """Centres and velocities of all obstacles at time t [s]."""
-    m = table.phase.shape[0]
-    p, v = np.empty((m, 3)), np.empty((m, 3))
-    for j in range(m):
+def motion_state(table: MotionTable, t: float, p: Array, v: Array) -> None:
+    """Centres and velocities of all obstacles at time t [s], into p and v, (m, 3)."""
+    for j in range(table.phase.shape[0]):
         s = t + table.phase[j]
         if table.period[j] < np.inf:
             s -= np.floor(s / table.period[j]) * table.period[j]
@@ -263,7 +264,6 @@ def _motion_state(table: MotionTable, t: float) -> tuple[Array, Array]:
             e, f = table.cosine[j, k], table.sine[j, k]
             p[j, k] = table.p0[low, k] + r * (v0 + 0.5 * r * a) + c * e + q * f
             v[j, k] = v0 + r * a + table.spin[j] * (c * f - q * e)
-    return p, v
 
 
 @njit

@@ -81,7 +81,8 @@ def first_guess(
     start = wrench_of(team, quat_to_R(x0[None, LOAD_Q]), force_W[None])[0]
     x, wrench = np.empty_like(ref.x), np.empty((len(node), 6))
     target = wrench_of(team, R_WL, ref.force_W)
-    roll_out(params.load, LEAD, (ref.x, target), (x0, start), node, (x, wrench))
+    now = (x0.copy(), start)  # a copy may be written to: the kernel is compiled for that
+    roll_out(params.load, LEAD, (ref.x, target), now, node, (x, wrench))
     R_WL = quat_to_R(x[:, LOAD_Q])
     wrench_L = wrench.copy()
     wrench_L[:, :3] = np.einsum("kba,kb->ka", R_WL, wrench[:, :3])

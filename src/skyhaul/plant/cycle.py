@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a step of the plant computes beside MuJoCo, as three calls into compiled code.
+
+NamedTuples come as plain tuples of their fields (`Leaves`), which cross the border in a third of
+the time.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from skyhaul.geometry.shapes import ShapeArrays
+from skyhaul.jit import njit
+from skyhaul.model.team import TeamArrays
+from skyhaul.plant.clearance import Surroundings, TouchMemory, update_touches
+from skyhaul.plant.observe import (
+    Constraints,
+    Observation,
+    observe,
+    place_obstacles,
+    write_forces,
+)
+from skyhaul.plant.rotors import rotor_lag
+from skyhaul.types import Array, Mask
+from skyhaul.world.motion import MotionTable, motion_state
+
+Leaves = tuple[Any, ...]
+
+
+@njit
+def drive(
+    team: Leaves,
+    inputs: tuple[Array, Array],
+    constants: tuple[Array, Array],
+    now: tuple[Array, Mask, Array],
+    thrust: Array,
+    dt: float,
+) -> None:
+    """Rotors over the next dt, and their forces into MuJoCo: `rotor_lag`, then `write_forces`.
+
+    Args:
+        team: Leaves of `TeamArrays`.
+        inputs: MuJoCo's controls and applied forces, written.
+        constants: Mixer and drag.
+        now: Commanded thrusts (n, 4) [N], who is alive (n,), wind (3,) [m/s].
+        thrust: Thrusts, (n, 4) [N]; from now to dt later.
+        dt: Time to advance [s].
+    """
+    command, alive, wind = now
+    mean = np.empty_like(thrust)
+    rotor_lag(TeamArrays(*team), alive, command, dt, thrust, mean)
+    write_forces(inputs[0], inputs[1], constants[0], mean, wind, constants[1])
+
+
+@njit
+def move(table: Leaves, t: float, present: Mask, mocap: Array, p_WO: Array, v_WO: Array) -> None:
+    """Obstacles to where they are at time t [s]: into MuJoCo, and their motion into p_WO, v_WO.
+
+    Args:
+        table: Leaves of `MotionTable`.
+        t: Time [s].
+        present: Which of them exist, (m,).
+        mocap: MuJoCo's places, written.
+        p_WO: (m, 3) [m], written.
+        v_WO: (m, 3) [m/s], written.
+    """
+    motion_state(MotionTable(*table), t, p_WO, v_WO)
+    place_obstacles(mocap, p_WO, present)
+
+
+@njit
+def look(
+    team: Leaves,
+    motion: tuple[Array, Array, Array],
+    rows: Leaves,
+    bodies: Leaves,
+    out: Leaves,
+    attached: Mask,
+    obstacles: Leaves,
+    around: Leaves,
+    touches: Leaves,
+) -> tuple[bool, float, int]:
+    """Read MuJoCo out, then find what touches: `observe` and `update_touches`.
+
+    Args:
+        team: Leaves of `TeamArrays`.
+        motion: MuJoCo's qpos, qvel, qacc.
+        rows: Leaves of `Constraints`.
+        bodies: Leaves of the team's `ShapeArrays`.
+        out: Leaves of `Observation`, written.
+        attached: Cables that are attached, (n,).
+        obstacles: Leaves of their `ShapeArrays`.
+        around: Leaves of the rest of `Surroundings`.
+        touches: Leaves of `TouchMemory`, updated.
+
+    Returns:
+        Whether the accelerations are finite; clearance [m]; how many contacts began.
+    """
+    shapes = ShapeArrays(*bodies)
+    qpos, qvel, qacc = motion
+    finite = observe(
+        TeamArrays(*team), qpos, qvel, qacc, Constraints(*rows), shapes, Observation(*out)
+    )
+    surroundings = Surroundings(ShapeArrays(*obstacles), *around)
+    clearance, begun = update_touches(shapes, attached, surroundings, TouchMemory(*touches))
+    return finite, clearance, begun
