@@ -19,7 +19,6 @@ from skyhaul.evaluation.dataset import euroc, layout
 from skyhaul.evaluation.dataset.euroc import read_table
 from skyhaul.evaluation.dataset.record import Recording, Show, record
 from skyhaul.evaluation.mcap_log import McapLog
-from skyhaul.geometry.camera import Equidistant, RadTan
 from skyhaul.geometry.kernels import quat_exp, quat_mul
 from skyhaul.geometry.quaternion import quat_rotate
 from skyhaul.mission.api import Outcome
@@ -28,17 +27,21 @@ from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.sensors.config import SensorsConfig
 from skyhaul.sensors.imu import Imu, without_errors
 from skyhaul.sensors.load_cell import LoadCell
+from skyhaul.sensors.optics import LensParams
 from skyhaul.sensors.rig import CameraMount, EventCameraMount, RigParams
 from skyhaul.world.load import load_config
 
 STEPS = 120
 pytestmark = pytest.mark.timeout(1200)  # the first run compiles the ray caster
 BLIND = RigParams(cameras=(), event_camera=None)
+FISHEYE = LensParams(kind="equidistant", size_px=(24, 16), fov_deg=140.0)
 SMALL = RigParams(
     cameras=(
-        CameraMount(name="front", model=RadTan.from_fov((32, 24), 80.0), p_BC_m=(0.05, 0.0, 0.0)),
+        CameraMount(
+            name="front", lens=LensParams(size_px=(32, 24), fov_deg=80.0), p_BC_m=(0.05, 0.0, 0.0)
+        ),
     ),
-    event_camera=EventCameraMount(model=Equidistant.from_fov((24, 16), 140.0)),
+    event_camera=EventCameraMount(lens=FISHEYE),
 )
 
 
