@@ -73,11 +73,15 @@ def flights(monkeypatch):
         plant = MujocoPlant(config, seed)
         rotors = plant.truth().rotor_thrust
         recorder.tick(SimpleNamespace(truth=plant.truth()))
-        for k in range(STEPS):
-            roll = np.array([1.0, 1.0, -1.0, -1.0])
-            truth = plant.step(rotors * (1.0 + 0.1 * np.sin(0.1 * k) + 0.02 * roll))
-            recorder.tick(SimpleNamespace(truth=truth))
-            progress(FlightProgress(truth.stamp_us, 240_000, Phase.CARRY, 0.0, math.nan))
+        try:
+            for k in range(STEPS):
+                roll = np.array([1.0, 1.0, -1.0, -1.0])
+                truth = plant.step(rotors * (1.0 + 0.1 * np.sin(0.1 * k) + 0.02 * roll))
+                recorder.tick(SimpleNamespace(truth=truth))
+                progress(FlightProgress(truth.stamp_us, 240_000, Phase.CARRY, 0.0, math.nan))
+        except OSError:
+            recorder.close(Outcome(False, "fault", 0, {}, 0.0))
+            raise
         outcome = Outcome(True, state.reason, 0, {}, 0.0)
         recorder.close(outcome)
         return outcome
