@@ -35,8 +35,8 @@ from skyhaul.world.load import load_config
 RESULT = Path(__file__).parent / "results" / "event_rendering.json"
 SEED, VEHICLES = 0, 4
 WINDOW_S, LEAD_S = 0.3, 0.1
-BUSY = ((0, 2.0), (1, 7.0), (2, 16.0), (3, 24.0))
-"""Vehicle and begin of each window [s]."""
+BUSY = ((0, 0.1), (1, 0.35), (2, 0.6), (3, 0.8))
+"""Vehicle and begin of each window, as a share of the flight."""
 
 
 class TruthRecorder:
@@ -173,7 +173,8 @@ def main() -> None:
     before = calibration_s()
     flight = whole_flight(config, track, 3.0 if arguments.quick else 1e9)
     between = calibration_s()
-    windows = [window(config, track, *busy) for busy in BUSY[: 1 if arguments.quick else None]]
+    end_s, some = float(track.t_us[-1]) / US_PER_S, BUSY[: 1 if arguments.quick else None]
+    windows = [window(config, track, i, round(share * end_s, 3)) for i, share in some]
     calibration = 0.5 * (before + between)
     counts = [w["count_ratio"] for w in windows]
     rows = [

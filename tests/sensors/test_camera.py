@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from skyhaul.geometry.camera import RadTan
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.geometry.shapes import pose_shapes
 from skyhaul.model.state import CableState, TeamState
@@ -18,14 +17,15 @@ from skyhaul.model.team import Team
 from skyhaul.plant.api import PLANT_STEP_US, Truth
 from skyhaul.sensors.camera import camera_pose, cameras
 from skyhaul.sensors.imaging.scene import build_scene
+from skyhaul.sensors.optics import LensParams
 from skyhaul.sensors.rig import CameraMount, RigParams
 from skyhaul.world.scenario import Light, LightChange, World
 
-SMALL = RadTan.from_fov((64, 48), 80.0)
+SMALL = LensParams(size_px=(64, 48), fov_deg=80.0)
 RIG = RigParams(
     cameras=(
-        CameraMount(name="a", model=SMALL, p_BC_m=(0.05, 0.0, 0.0)),
-        CameraMount(name="b", model=SMALL, p_BC_m=(-0.05, 0.0, 0.0), azimuth_deg=180.0, rate_hz=5),
+        CameraMount(name="a", lens=SMALL, p_BC_m=(0.05, 0.0, 0.0)),
+        CameraMount(name="b", lens=SMALL, p_BC_m=(-0.05, 0.0, 0.0), azimuth_deg=180.0, rate_hz=5),
     )
 )
 LIGHT = Light(changes=(LightChange(at_s=0.35, level=0.1),))

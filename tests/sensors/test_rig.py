@@ -4,12 +4,13 @@
 import numpy as np
 import pytest
 
-from skyhaul.geometry.camera import RadTan, in_frame, pixel_rays, project_points
+from skyhaul.geometry.camera import in_frame, pixel_rays, project_points
+from skyhaul.sensors.optics import LensParams
 from skyhaul.sensors.rig import CameraMount, EventCameraMount, RigParams, mount_rotation
 
 RIG = RigParams().calibration()
 CAMERAS = {c.name: c for c in RIG.cameras}
-SMALL = RadTan.from_fov((32, 24), 60.0)
+SMALL = LensParams(size_px=(32, 24), fov_deg=60.0)
 
 
 def sees(camera, d_B, distance=1e6):
@@ -110,15 +111,15 @@ def test_calibration_has_what_an_estimator_needs_and_is_read_only():
 def test_impossible_mounts_are_refused():
     for name in ("", "imu", "1 left", "Left", "a-b", "r\u00e9ar", "a/b", "a\n"):
         with pytest.raises(ValueError, match="name must begin with a lower-case letter, go on"):
-            CameraMount(name=name, model=SMALL, p_BC_m=(0, 0, 0))
+            CameraMount(name=name, lens=SMALL, p_BC_m=(0, 0, 0))
         with pytest.raises(ValueError, match="name must begin with a lower-case letter, go on"):
             EventCameraMount(name=name)
     with pytest.raises(ValueError, match="rate_hz must divide the 500 steps"):
-        CameraMount(name="a", model=SMALL, p_BC_m=(0, 0, 0), rate_hz=30.0)
-    twice = CameraMount(name="a", model=SMALL, p_BC_m=(0, 0, 0))
+        CameraMount(name="a", lens=SMALL, p_BC_m=(0, 0, 0), rate_hz=30.0)
+    twice = CameraMount(name="a", lens=SMALL, p_BC_m=(0, 0, 0))
     with pytest.raises(ValueError, match="'a' twice"):
         RigParams(cameras=(twice, twice))
     for one, other in (("a b", "a_b"), ("a b", "a  b")):  # one file name for both
-        mounts = tuple(CameraMount(name=n, model=SMALL, p_BC_m=(0, 0, 0)) for n in (one, other))
+        mounts = tuple(CameraMount(name=n, lens=SMALL, p_BC_m=(0, 0, 0)) for n in (one, other))
         with pytest.raises(ValueError, match="differ in letters or digits"):
             RigParams(cameras=mounts)

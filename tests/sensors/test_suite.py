@@ -9,26 +9,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skyhaul.geometry.camera import Equidistant, RadTan
 from skyhaul.model.team import Team
 from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.sensors import config
 from skyhaul.sensors.config import SensorsConfig
 from skyhaul.sensors.faults import ImuGap
 from skyhaul.sensors.load_cell import LoadCell
+from skyhaul.sensors.optics import LensParams
 from skyhaul.sensors.rig import CameraMount, EventCameraMount, RigParams
 from skyhaul.sensors.truth_track import TrackWriter, TruthTrack, load_track
 from skyhaul.world.load import load_config
 from skyhaul.world.scenario import Scenario, World
 
+FISHEYE = LensParams(kind="equidistant", size_px=(24, 16), fov_deg=140.0)
 SENSORS = SensorsConfig(
     rig=RigParams(
         cameras=(
             CameraMount(
-                name="front", model=RadTan.from_fov((32, 24), 80.0), p_BC_m=(0.05, 0.0, 0.0)
+                name="front",
+                lens=LensParams(size_px=(32, 24), fov_deg=80.0),
+                p_BC_m=(0.05, 0.0, 0.0),
             ),
         ),
-        event_camera=EventCameraMount(model=Equidistant.from_fov((24, 16), 140.0)),
+        event_camera=EventCameraMount(lens=FISHEYE),
     ),
     load_cell=LoadCell(),
     faults=(

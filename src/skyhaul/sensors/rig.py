@@ -21,15 +21,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skyhaul.geometry.camera import CameraModel, Equidistant, RadTan
+from skyhaul.geometry.camera import CameraModel
 from skyhaul.params import Params
 from skyhaul.plant.api import PLANT_STEP_US
 from skyhaul.sensors.api import CameraCalibration, RigCalibration
 from skyhaul.sensors.imaging.photometry import Photometry
+from skyhaul.sensors.optics import LensParams
 from skyhaul.types import US_PER_S, Array, TimeUs, Vec3
 
 EUROC_DISTORTION = (-0.283, 0.074, 0.0002, 0.00002)
 """Of camera 0 of the EuRoC data set, a usual wide lens."""
+
+FISHEYE = LensParams(
+    kind="equidistant", size_px=(160, 120), fov_deg=150.0, distortion=(-0.02, 0.003, 0.0, 0.0)
+)
+"""Of the event camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +44,8 @@ class CameraMount(Params):
 
     name: str
     """Unique name in the rig: a lower-case letter, then letters, digits, spaces, underscores."""
-    model: CameraModel
-    """Size, focal length, distortion."""
+    lens: LensParams
+    """Size, field of view, distortion."""
     p_BC_m: Vec3
     """Optical centre in body axes, from the centre of mass [m]."""
     azimuth_deg: float = 0.0
@@ -63,6 +69,11 @@ class CameraMount(Params):
             )
 
     @property
+    def model(self) -> CameraModel:
+        """The model of its lens."""
+        return self.lens.model()
+
+    @property
     def period_us(self) -> TimeUs:
         """Time between two images [us]."""
         return round(US_PER_S / self.rate_hz)
@@ -79,10 +90,8 @@ class EventCameraMount(Params):
 
     name: str = "events"
     """Unique name in the rig: a lower-case letter, then letters, digits, spaces, underscores."""
-    model: CameraModel = field(
-        default_factory=lambda: Equidistant.from_fov((160, 120), 150.0, (-0.02, 0.003, 0.0, 0.0))
-    )
-    """Size, focal length, distortion."""
+    lens: LensParams = FISHEYE
+    """Size, field of view, distortion."""
     p_BC_m: Vec3 = (0.055, 0.0, 0.025)
     """Optical centre in body axes, from the centre of mass [m]."""
     azimuth_deg: float = 0.0
@@ -95,6 +104,11 @@ class EventCameraMount(Params):
     def __post_init__(self) -> None:
         _check_name(self.name)
 
+    @property
+    def model(self) -> CameraModel:
+        """The model of its lens."""
+        return self.lens.model()
+
     def calibration(self) -> CameraCalibration:
         """What an estimator may know of it."""
         R = mount_rotation(self.azimuth_deg, self.elevation_deg, self.roll_deg)
@@ -102,17 +116,17 @@ class EventCameraMount(Params):
 
 
 def _default_cameras() -> tuple[CameraMount, ...]:
-    wide = RadTan.from_fov((320, 240), 84.0, EUROC_DISTORTION)
-    sharp = RadTan.from_fov((320, 240), 68.0, EUROC_DISTORTION)
+    wide = LensParams(size_px=(320, 240), fov_deg=84.0, distortion=EUROC_DISTORTION)
+    sharp = LensParams(size_px=(320, 240), fov_deg=68.0, distortion=EUROC_DISTORTION)
     return (
-        CameraMount(name="front left", model=wide, p_BC_m=(0.05, 0.04, 0.01), elevation_deg=25.0),
-        CameraMount(name="front right", model=wide, p_BC_m=(0.05, -0.04, 0.01), elevation_deg=25.0),
+        CameraMount(name="front left", lens=wide, p_BC_m=(0.05, 0.04, 0.01), elevation_deg=25.0),
+        CameraMount(name="front right", lens=wide, p_BC_m=(0.05, -0.04, 0.01), elevation_deg=25.0),
         CameraMount(
-            name="rear", model=wide, p_BC_m=(-0.05, 0.0, 0.01),
+            name="rear", lens=wide, p_BC_m=(-0.05, 0.0, 0.01),
             azimuth_deg=180.0, elevation_deg=-20.0,
         ),
         CameraMount(
-            name="down", model=sharp, p_BC_m=(-0.05, 0.0, -0.02),
+            name="down", lens=sharp, p_BC_m=(-0.05, 0.0, -0.02),
             azimuth_deg=180.0, elevation_deg=-71.0,
         ),
     )  # fmt: skip

@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenario files: YAML with `extends`, overrides on top, and the way back to YAML."""
+"""Scenario files: YAML with `extends`, overrides on top, and the way back to YAML.
 
+A file may also configure the stack that flies it. Who loads only the scenario leaves those roots,
+`STACK_KEYS`, unread: they are checked where a flight is loaded.
+"""
+
+import dataclasses
 import difflib
 import re
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import yaml
 
 from skyhaul.errors import ConfigError, FileError
 from skyhaul.world.check import check_scenario
-from skyhaul.world.scenario import Scenario
-from skyhaul.world.schema import Tree, build, check_tree, to_tree
+from skyhaul.world.scenario import STACK_KEYS, Scenario
+from skyhaul.world.schema import Tree, build, check_key, check_tree, to_tree
 
 C = TypeVar("C")
 SIZE_LIMIT_BYTES = 1_000_000
@@ -32,7 +37,7 @@ def load_config(cls: type[C], source: str | Path, overrides: Sequence[str] = ())
     Precedence: defaults of `cls` < base named by `extends` < the file < overrides.
 
     Args:
-        cls: Root parameter class: `Scenario`, or a class that extends it.
+        cls: Root parameter class: `Scenario`, or a class that extends it by roots of the stack.
         source: Name of a shipped scenario, or path of a YAML file.
         overrides: Entries `key.path=value`, the value in YAML; lists are indexed from 0, as in
             `world.obstacles[0].center_m=[1, 2, 3]`.
@@ -47,7 +52,7 @@ def load_config(cls: type[C], source: str | Path, overrides: Sequence[str] = ())
     for override in overrides:
         tree = _override(tree, override)
     try:
-        config = build(cls, tree)
+        config = build(cls, _own(cls, tree))
         if isinstance(config, Scenario):
             check_scenario(config)
     except ConfigError as error:
@@ -83,12 +88,20 @@ def _resolve(cls: type[object], name: str, text: str, folder: Path, seen: tuple[
 
 
 def _merged(cls: type[object], base: Tree, tree: Tree, name: str) -> Tree:
-    merged = _merge(base, tree)
     try:
+        merged = _merge(base, _own(cls, tree))
         check_tree(cls, merged, "")
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from None
     return merged
+
+
+def _own(cls: type[object], tree: Tree) -> Tree:
+    """The roots of a tree that are for a class; those of the stack are left to its loader."""
+    own = {f.name for f in dataclasses.fields(cast(Any, cls))}
+    for key in tree:
+        check_key(key, own.union(STACK_KEYS), "")
+    return {key: value for key, value in tree.items() if key in own}
 
 
 def _merge(base: Tree, top: Tree) -> Tree:

@@ -336,6 +336,10 @@ class HookRelease(Params):
 ScriptedEvent = VehicleDies | CableCut | HookRelease
 
 
+STACK_KEYS = ("sensors", "perception", "mapping", "planning", "control", "comms", "mission")
+"""Roots of a scenario file that are not the scenario's: they configure the stack that flies it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scenario(Params):
     """Team, world and task."""

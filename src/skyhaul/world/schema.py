@@ -9,7 +9,7 @@ import dataclasses
 import difflib
 import math
 import types
-from collections.abc import Hashable
+from collections.abc import Collection, Hashable
 from functools import cache
 from typing import (
     Annotated,
@@ -95,6 +95,16 @@ def check_tree(kind: object, tree: object, path: str) -> None:
         _check_scalar(options, tree, path)
 
 
+def check_key(key: object, names: Collection[str], path: str) -> None:
+    """Refuse a key that is none of the names.
+
+    Raises:
+        ConfigError: With the path of the key, what was likely meant, and what is allowed.
+    """
+    if key not in names:
+        raise ConfigError(f"{_join(path, key)}: unknown key{_hint(key, names)}")
+
+
 def _check_object(classes: list[Any], tree: object, path: str) -> None:
     where = _prefix(path)
     if not isinstance(tree, dict):
@@ -102,8 +112,7 @@ def _check_object(classes: list[Any], tree: object, path: str) -> None:
     cls = classes[0] if len(classes) == 1 else _class_of_kind(classes, tree, path)
     names = [f.name for f in dataclasses.fields(cls)]
     for key in tree:
-        if key not in names:
-            raise ConfigError(f"{_join(path, key)}: unknown key{_hint(key, names)}")
+        check_key(key, names, path)
     required = [f.name for f in dataclasses.fields(cls) if _is_required(f)]
     for name in required:
         if name not in tree:

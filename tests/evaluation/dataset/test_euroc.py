@@ -45,13 +45,13 @@ def test_images_come_back_pixel_by_pixel_under_their_stamps(written, made) -> No
     for c in range(2):
         camera, frames = folder / "mav0" / f"cam{c}", made.frames(c)
         assert read_frames(camera / "data.csv") == [
-            (1000 * f.stamp_us, f"{1000 * f.stamp_us}.png") for f in frames
+            (1000 * f.stamp_us, f"{1000 * f.stamp_us:019d}.png") for f in frames
         ]
         assert sorted(p.name for p in (camera / "data").iterdir()) == sorted(
-            f"{1000 * f.stamp_us}.png" for f in frames
+            f"{1000 * f.stamp_us:019d}.png" for f in frames
         )
         for frame in frames:
-            image = cv2.imread(camera / "data" / f"{1000 * frame.stamp_us}.png", -1)
+            image = cv2.imread(camera / "data" / f"{1000 * frame.stamp_us:019d}.png", -1)
             np.testing.assert_array_equal(image, frame.image)
 
 

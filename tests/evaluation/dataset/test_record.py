@@ -5,6 +5,7 @@ The flight is replaced by a plant that hovers; everything after it is the real t
 """
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,26 +20,30 @@ from skyhaul.evaluation.dataset import euroc, layout
 from skyhaul.evaluation.dataset.euroc import read_table
 from skyhaul.evaluation.dataset.record import Recording, Show, record
 from skyhaul.evaluation.mcap_log import McapLog
-from skyhaul.geometry.camera import Equidistant, RadTan
 from skyhaul.geometry.kernels import quat_exp, quat_mul
 from skyhaul.geometry.quaternion import quat_rotate
-from skyhaul.mission.api import Outcome
+from skyhaul.mission.api import Outcome, Phase
 from skyhaul.mission.config import RunConfig
+from skyhaul.mission.flight import FlightProgress
 from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.sensors.config import SensorsConfig
 from skyhaul.sensors.imu import Imu, without_errors
 from skyhaul.sensors.load_cell import LoadCell
+from skyhaul.sensors.optics import LensParams
 from skyhaul.sensors.rig import CameraMount, EventCameraMount, RigParams
 from skyhaul.world.load import load_config
 
 STEPS = 120
 pytestmark = pytest.mark.timeout(1200)  # the first run compiles the ray caster
 BLIND = RigParams(cameras=(), event_camera=None)
+FISHEYE = LensParams(kind="equidistant", size_px=(24, 16), fov_deg=140.0)
 SMALL = RigParams(
     cameras=(
-        CameraMount(name="front", model=RadTan.from_fov((32, 24), 80.0), p_BC_m=(0.05, 0.0, 0.0)),
+        CameraMount(
+            name="front", lens=LensParams(size_px=(32, 24), fov_deg=80.0), p_BC_m=(0.05, 0.0, 0.0)
+        ),
     ),
-    event_camera=EventCameraMount(model=Equidistant.from_fov((24, 16), 140.0)),
+    event_camera=EventCameraMount(lens=FISHEYE),
 )
 
 
@@ -68,12 +73,15 @@ def flights(monkeypatch):
         plant = MujocoPlant(config, seed)
         rotors = plant.truth().rotor_thrust
         recorder.tick(SimpleNamespace(truth=plant.truth()))
-        for k in range(STEPS):
-            roll = np.array([1.0, 1.0, -1.0, -1.0])
-            truth = plant.step(rotors * (1.0 + 0.1 * np.sin(0.1 * k) + 0.02 * roll))
-            recorder.tick(SimpleNamespace(truth=truth))
-        outcome = Outcome(True, state.reason, 0, {}, 0.0)
-        recorder.close(outcome)
+        try:
+            for k in range(STEPS):
+                roll = np.array([1.0, 1.0, -1.0, -1.0])
+                truth = plant.step(rotors * (1.0 + 0.1 * np.sin(0.1 * k) + 0.02 * roll))
+                recorder.tick(SimpleNamespace(truth=truth))
+                progress(FlightProgress(truth.stamp_us, 240_000, Phase.CARRY, 0.0, math.nan))
+        finally:
+            outcome = Outcome(True, state.reason, 0, {}, 0.0)
+            recorder.close(outcome)
         return outcome
 
     monkeypatch.setattr(module, "fly", fly)
@@ -282,3 +290,14 @@ def test_a_wrong_number_is_wrong_usage(option, value, sentence, tmp_path, capsys
         main(argv)
     assert error.value.code == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_a_terminal_that_goes_away_is_not_called_a_fault_of_the_disk(flights, tmp_path) -> None:
+    def gone(now: object) -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    with pytest.raises(BrokenPipeError):
+        record(recording(tmp_path / "set", ()), replace(quiet(), flight=gone))
+    assert not (tmp_path / "set" / "flight").exists()
+    record(recording(tmp_path / "set", ()), quiet())
+    assert (tmp_path / "set" / "flight").is_dir()

@@ -10,19 +10,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyhaul.geometry.camera import Equidistant, project
+from skyhaul.geometry.camera import project
 from skyhaul.geometry.shapes import pose_shapes
 from skyhaul.mission.config import RunConfig
 from skyhaul.sensors.camera import camera_pose
 from skyhaul.sensors.events.camera import EventParams, Pacing, event_camera
 from skyhaul.sensors.events.pixels import EventPixels
 from skyhaul.sensors.imaging.scene import build_scene
+from skyhaul.sensors.optics import LensParams
 from skyhaul.sensors.rig import EventCameraMount
 from skyhaul.world.load import load_config
 from skyhaul.world.scenario import Light, LightChange
 
 QUIET = EventParams(pixels=EventPixels(leak_hz=0.0, shot_hz=0.0, hot_share=0.0))
-MOUNT = EventCameraMount(model=Equidistant.from_fov((80, 60), 150.0))
+MOUNT = EventCameraMount(lens=LensParams(kind="equidistant", size_px=(80, 60), fov_deg=150.0))
 STEP_US = 2_000
 
 

@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 
 from skyhaul.jit import njit
-from skyhaul.sensors.imaging.atlas import build_atlas, sample
+from skyhaul.sensors.imaging.atlas import (
+    Patches,
+    Spots,
+    blank_reading,
+    build_atlas,
+    read_textures,
+    sample,
+)
 
 RNG = np.random.default_rng(5)
 NOISE = RNG.random((64, 64)).astype(np.float32)
@@ -14,17 +21,17 @@ ATLAS = build_atlas([SMALL, np.full((32, 32), 0.25, np.float32), NOISE])
 
 
 @njit
-def sample_many(texel, start, n, u, v, footprint):
+def sample_many(texel, start, order, u, v, footprint):
     out = np.empty(len(u))
     for i in range(len(u)):
-        out[i] = sample(texel, start, n, u[i], v[i], footprint[i])
+        out[i] = sample(texel, start, order, u[i], v[i], footprint[i])
     return out
 
 
 def at(k, u, v, footprint):
     u, v, footprint = np.broadcast_arrays(*(np.asarray(a, float) for a in (u, v, footprint)))
     flat = (np.ascontiguousarray(a.ravel()) for a in (u, v, footprint))
-    return sample_many(ATLAS.texel, ATLAS.start[k], ATLAS.size[k], *flat).reshape(u.shape)
+    return sample_many(ATLAS.texel, ATLAS.start[k], ATLAS.order[k], *flat).reshape(u.shape)
 
 
 @pytest.mark.parametrize(("k", "texture"), [(0, SMALL), (2, NOISE)])
@@ -67,3 +74,25 @@ def test_detail_fades_with_the_scale():
     spread = [at(2, u, v, w).std() for w in (1.0, 2.0, 4.0, 8.0, 16.0, 64.0)]
     assert np.all(np.diff(spread) < 0.0)
     assert spread[-1] < 1e-6
+
+
+def test_many_pixels_at_once_read_what_each_reads_alone():
+    k = 400
+    which = RNG.integers(0, 3, k)
+    per_m, (across, down) = RNG.uniform(0.2, 2.0, k), RNG.uniform(-20, 20, (2, k))
+    wide = np.exp2(RNG.uniform(-9, 9, k))
+    patches = Patches(
+        ATLAS.start[which].astype(np.int32), ATLAS.order[which].astype(np.int32),
+        per_m.astype(np.float32),
+    )  # fmt: skip
+    spots = Spots(*(a.astype(np.float32) for a in (across, down, wide)))
+    out = np.full(k, np.nan, dtype=np.float32)
+    read_textures(ATLAS.texel, patches, spots, blank_reading(k), k - 1, out)
+    alone = [
+        at(w, a * s, b * s, f * s * 2.0 ** ATLAS.order[w])
+        for w, a, b, f, s in zip(which, across, down, wide, per_m, strict=True)
+    ]
+    assert np.isnan(out[-1])
+    assert np.ptp(out[:-1]) > 0.5
+    np.testing.assert_allclose(out[:-1], np.ravel(alone)[:-1], atol=2e-3)
+    assert np.median(np.abs(out - np.ravel(alone))[:-1]) < 2e-5

@@ -34,7 +34,7 @@ def bare(scene, hovering):
 
 
 def test_white_things_are_lit_by_sun_and_sky(bare):
-    count = len(bare.atlas.size)
+    count = len(bare.atlas.order)
     white = bare._replace(atlas=build_atlas([np.ones((8, 8), np.float32)] * count))
     frame, ball = picture(white, COARSE), bare.parts.object == 7
     (k,) = np.flatnonzero(ball)
@@ -79,8 +79,8 @@ def test_the_tag_is_not_mirrored_and_lies_on_the_plate(bare, scene):
     bare.objects.present[10:] = False
     frame = picture(bare, model, load + np.array([0.0, 0.0, 1.04]), R)
     k = int(np.flatnonzero(bare.parts.object == 9)[0])
-    start, size = bare.atlas.start[bare.parts.face[k, 5]], 256
-    texture = bare.atlas.texel[start : start + size * size].reshape(size, size)
+    begin, size = bare.atlas.start[bare.parts.face[k, 5] + 1] - 257 * 257, 256
+    texture = bare.atlas.texel[begin : begin + 257 * 257].reshape(257, 257)[:size, :size]
     columns = ((np.arange(36) + 0.5) / 36 * size).astype(int)
     expected = texture[np.ix_(columns, columns)]
     assert np.all(frame.object_id == 9)

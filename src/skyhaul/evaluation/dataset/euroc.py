@@ -139,11 +139,12 @@ class EurocWriter:
         return file
 
     def _add_frame(self, frame: CameraFrame) -> None:
-        name = f"{1000 * frame.stamp_us}.png"
+        stamp = _stamp(1000 * frame.stamp_us)
+        name = f"{stamp}.png"
         path = self._mav / f"cam{frame.camera}" / "data" / name
         with path.open("xb") as file:  # never over an image that is there
             file.write(png_bytes(frame.image))
-        self._cameras[frame.camera].write(f"{1000 * frame.stamp_us},{name}\n")
+        self._cameras[frame.camera].write(f"{stamp},{name}\n")
 
     def _add_tension(self, file: TextIO, reading: LoadCellReading) -> None:
         rows = zip(reading.stamp_us.tolist(), reading.tension.tolist(), strict=True)
@@ -195,5 +196,10 @@ def imu_only(imu: ImuCalibration) -> VehicleCalibration:
     return VehicleCalibration(imu, RigCalibration((), None), None)
 
 
+def _stamp(t_ns: int) -> str:
+    """As long as EuRoC's own: names sort by time, and the last nine digits are nanoseconds."""
+    return f"{t_ns:019d}"
+
+
 def _row(t_ns: int, values: Iterable[float]) -> str:
-    return f"{t_ns},{','.join(map(repr, values))}\n"
+    return f"{_stamp(t_ns)},{','.join(map(repr, values))}\n"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names in a data set, and files that are whole or not there."""
 
-import fcntl
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -62,6 +62,8 @@ def writing(path: Path) -> Iterator[None]:
 def locked(folder: Path) -> Iterator[None]:
     """Keep other recordings out of a folder meanwhile; it is made if it is not there.
 
+    The system lets go of the lock when the process ends, however it ends.
+
     Raises:
         FileError: When another recording works in it, or it is no folder.
     """
@@ -69,18 +71,41 @@ def locked(folder: Path) -> Iterator[None]:
         raise FileError(f"--out {folder}: is a file; give a folder")
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        handle = os.open(folder, os.O_RDONLY)
+        handle = _open_lock(folder)
     try:
-        _take(handle, folder)
+        if not _take(handle):
+            raise FileError(
+                f"--out {folder}: another recording works in it; wait for it or give another folder"
+            )
         yield
     finally:
         os.close(handle)
 
 
-def _take(handle: int, folder: Path) -> None:
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise FileError(
-            f"--out {folder}: another recording works in it; wait for it or give another folder"
-        ) from None
+if sys.platform == "win32":
+    import msvcrt
+
+    def _open_lock(folder: Path) -> int:
+        """A file beside the folder, for Windows opens and locks only files; it stays."""
+        beside = folder.with_name(folder.name + ".lock")
+        return os.open(beside, os.O_RDWR | os.O_CREAT)
+
+    def _take(handle: int) -> bool:
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+
+else:
+    import fcntl
+
+    def _open_lock(folder: Path) -> int:
+        return os.open(folder, os.O_RDONLY)
+
+    def _take(handle: int) -> bool:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True

@@ -9,10 +9,11 @@ recording goes on where it was broken off.
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from skyhaul.evaluation.folder import LOG, origin, write_json
 from skyhaul.evaluation.metrics import evaluate
 from skyhaul.evaluation.recorder import RunRecorder
 from skyhaul.mission.config import RunConfig
-from skyhaul.mission.flight import ShowProgress, fly
+from skyhaul.mission.flight import FlightProgress, ShowProgress, fly
 from skyhaul.mission.replay import Replay, TrackRecorder, open_replay
 from skyhaul.sensors.api import VehicleCalibration
 from skyhaul.types import Array
@@ -203,9 +204,10 @@ def _flight(recording: Recording, show: Show) -> dict[str, Any]:
         show.say("the flight is there already")
         return evaluate(folder)
     part, config, seed = _cleared(layout.partial(folder)), recording.config, recording.seed
-    with layout.writing(part):  # its log, its tables, its metrics
+    report = _Report(show.flight)
+    with report.apart(), layout.writing(part):  # its log, its tables, its metrics
         recorder = TrackRecorder(RunRecorder(part, config, seed))
-        outcome = fly(config, seed, recorder, show.flight)
+        outcome = fly(config, seed, recorder, report)
         if outcome.reason == "interrupted":
             shutil.rmtree(part)
             raise KeyboardInterrupt
@@ -213,6 +215,33 @@ def _flight(recording: Recording, show: Show) -> dict[str, Any]:
         metrics = evaluate(part)
         part.replace(folder)
     return metrics
+
+
+class _Report:
+    """Tells how far the flight is; faults of who is told are not taken for the disk's."""
+
+    def __init__(self, show: ShowProgress | None) -> None:
+        self._show = show
+
+    def __call__(self, now: FlightProgress) -> None:
+        try:
+            if self._show is not None:
+                self._show(now)
+        except OSError as fault:
+            raise _NotTold from fault
+
+    @staticmethod
+    @contextmanager
+    def apart() -> Iterator[None]:
+        """Let such a fault come out as what it was."""
+        try:
+            yield
+        except _NotTold as fault:
+            raise cast(OSError, fault.__cause__) from None
+
+
+class _NotTold(Exception):  # noqa: N818  it never leaves this module
+    """Carries a fault past those who look for the disk's."""
 
 
 def _log(recording: Recording, known: list[str], show: Show) -> None:

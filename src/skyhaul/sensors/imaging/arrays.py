@@ -3,7 +3,7 @@
 
 from typing import NamedTuple
 
-from skyhaul.sensors.imaging.atlas import Atlas
+from skyhaul.sensors.imaging.atlas import Atlas, Grey, Patches, Reading, Spots
 from skyhaul.types import Array, IntArray, Mask
 
 ROOM_FACES = ("wall -x", "wall +x", "wall -y", "wall +y", "floor", "ceiling")
@@ -16,6 +16,10 @@ THREAD = 4
 """Code of a thin capsule, beside those of `geometry.shapes`."""
 FIRST_PART = len(ROOM_FACES)
 """Codes of hits below this are faces of the room; parts follow."""
+
+
+CEILING, MIXED = 5, -2
+"""Code of the face of the room that may be open; and what is no code of a surface."""
 
 
 class Parts(NamedTuple):
@@ -63,6 +67,7 @@ class Hall(NamedTuple):
     light: Array  # (6,) how bright each face is lit
     opening: int  # texture of the openings in the ceiling: 1 where the sky shows
     detail: int  # texture of the grain that shows near by
+    detail_per_m: float  # its periods per metre
     clouds: int
 
 
@@ -73,7 +78,14 @@ class Bundle(NamedTuple):
     pixel: Array  # (k,) angle that the ray stands for [rad]
     range: Array  # (k,) distance to the first hit [m]
     hit: IntArray  # (k,) -1 nothing, 0..5 faces of the room, 6 and on parts
-    grey: Array  # (k,)
+    grey: Grey  # (k,)
+    light: Grey  # (k,) that falls on what it met
+    spots: Spots  # where on its texture
+    patches: Patches  # and on which
+    grain: Patches  # the room's grain for all, ...
+    opening: Patches  # ... and the openings in its ceiling
+    fine: Grey  # (k,) samples of either
+    work: Reading
 
 
 class SceneArrays(NamedTuple):

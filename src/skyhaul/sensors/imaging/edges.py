@@ -3,10 +3,16 @@
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from skyhaul.jit import njit_ieee
+from skyhaul.sensors.imaging.arrays import MIXED
 from skyhaul.sensors.imaging.frame import Frame
 from skyhaul.sensors.imaging.lens import TILE, TILE_H, TILE_W, Lens
 from skyhaul.types import Array
+
+# mypy: disable-error-code="no-any-return"
 
 _MOST = TILE // 4
 """Edge pixels that a tile may have; those beyond keep their one ray."""
@@ -22,6 +28,8 @@ def aim_at_edges(lens: Lens, t: int, R: Array, frame: Frame) -> int:
     y0, x0, count = lens.corner[t, 0], lens.corner[t, 1], 0
     height, width = hit.shape
     rows, columns = min(TILE_H, height - y0), min(TILE_W, width - x0)
+    if _is_plain_around(lens, t, frame.only):
+        return 0
     for y in range(rows):
         v = y0 + y
         above, below = max(v - 1, 0), min(v + 1, height - 1)
@@ -41,6 +49,17 @@ def aim_at_edges(lens: Lens, t: int, R: Array, frame: Frame) -> int:
                     frame.tile.pixel[4 * count + s] = lens.pixel[t, i]
                 count += 1
     return count
+
+
+@njit_ieee
+def _is_plain_around(lens: Lens, t: int, only: NDArray[np.int16]) -> bool:
+    """Whether one surface fills a tile and the four beside it."""
+    here, wide = only[t], (lens.width + TILE_W - 1) // TILE_W
+    column, last = t % wide, only.shape[0] - 1
+    left, right = t - min(column, 1), t + min(wide - 1 - column, 1)
+    above, below = (t - wide if t >= wide else t), (t + wide if t + wide <= last else t)
+    around = only[left] == here and only[right] == here
+    return around and only[above] == here and only[below] == here and here != MIXED
 
 
 @njit_ieee

@@ -9,13 +9,21 @@ neighbours show another surface, and draws the cables. Distances are along the r
 
 from skyhaul.geometry.shapes import BOX, SPHERE
 from skyhaul.jit import njit_ieee
-from skyhaul.sensors.imaging.arrays import FIRST_PART, SKY, THREAD, Parts, SceneArrays
+from skyhaul.sensors.imaging.arrays import (
+    CEILING,
+    FIRST_PART,
+    MIXED,
+    SKY,
+    THREAD,
+    Parts,
+    SceneArrays,
+)
 from skyhaul.sensors.imaging.cull import cull, seen_parts
 from skyhaul.sensors.imaging.edges import aim_at_edges, average_edges
 from skyhaul.sensors.imaging.frame import Frame
 from skyhaul.sensors.imaging.intersect import meet_box, meet_capsule, meet_room, meet_sphere
 from skyhaul.sensors.imaging.lens import TILE, TILE_H, TILE_W, Lens
-from skyhaul.sensors.imaging.shading import shade_face, shade_part, shade_sky
+from skyhaul.sensors.imaging.shading import only_surface, shade
 from skyhaul.sensors.imaging.threads import draw_thread
 from skyhaul.types import Array
 
@@ -38,7 +46,7 @@ def render(
     for t in range(lens.corner.shape[0]):
         _aim(lens, t, R_WC, frame)
         parts = seen_parts(lens, t, count, frame.culling)
-        _cast(scene, parts, p_WC, frame, TILE)
+        frame.only[t] = _cast(scene, parts, p_WC, frame, TILE)
         _write(scene.parts, lens, t, frame)
     for t in range(lens.corner.shape[0]):
         edges = aim_at_edges(lens, t, R_WC, frame)
@@ -62,8 +70,12 @@ def _aim(lens: Lens, t: int, R: Array, frame: Frame) -> None:
 
 
 @njit_ieee
-def _cast(scene: SceneArrays, parts: int, p: Array, frame: Frame, n: int) -> None:
-    """Follow the first n rays of the bundle to what they meet, and shade them."""
+def _cast(scene: SceneArrays, parts: int, p: Array, frame: Frame, n: int) -> int:
+    """Follow the first n rays of the bundle to what they meet, and shade them.
+
+    Returns:
+        Code of the surface that all of them met, or MIXED.
+    """
     meet_room(scene.hall, p, frame.tile, n)
     for i in range(parts):
         k = frame.culling.seen[i]
@@ -74,46 +86,33 @@ def _cast(scene: SceneArrays, parts: int, p: Array, frame: Frame, n: int) -> Non
             meet_sphere(scene.parts, k, p, frame.tile, n)
         elif kind != THREAD:
             meet_capsule(scene.parts, k, p, frame.tile, n)
-    _shade(scene, parts, p, frame, n)
-
-
-@njit_ieee
-def _shade(scene: SceneArrays, parts: int, p: Array, frame: Frame, n: int) -> None:
-    """Give the first n rays their grey; `parts` are in sight."""
-    tile, faces, solid, nothing = frame.tile, 0, False, False
-    for i in range(n):
-        hit = tile.hit[i]
-        if hit >= FIRST_PART:
-            solid = True
-        elif hit >= 0:
-            faces |= 1 << hit
-        else:
-            nothing = True
-    if nothing:
-        shade_sky(scene.hall, scene.atlas, tile, n)
-    for face in range(FIRST_PART):
-        if faces >> face & 1:
-            shade_face(scene.hall, scene.atlas, face, p, tile, n)
-    if solid:
-        for i in range(parts):
-            k = frame.culling.seen[i]
-            shade_part(scene.parts, scene.atlas, scene.sun, k, p, tile, n)
+    only = only_surface(frame.tile, n)
+    shade(scene, parts, frame.culling.seen, only, p, frame.tile, n)
+    return only if only != -1 else CEILING
 
 
 @njit_ieee
 def _write(parts: Parts, lens: Lens, t: int, frame: Frame) -> None:
     """Copy a tile into the frame."""
-    y0, x0 = lens.corner[t, 0], lens.corner[t, 1]
+    y0, x0, only = lens.corner[t, 0], lens.corner[t, 1], frame.only[t]
     grey, far, hits, objects = frame.tile.grey, frame.tile.range, frame.tile.hit, parts.object
     out_grey, out_range, out_hit, out_id = frame.grey, frame.range, frame.hit, frame.object_id
-    for y in range(min(TILE_H, lens.height - y0)):
-        for x in range(min(TILE_W, lens.width - x0)):
+    rows, columns = min(TILE_H, lens.height - y0), min(TILE_W, lens.width - x0)
+    for y in range(rows):
+        for x in range(columns):
             i = y * TILE_W + x
-            hit = hits[i]
-            out_grey[y0 + y, x0 + x] = grey[i]
-            out_range[y0 + y, x0 + x] = far[i]
+            out_grey[y0 + y, x0 + x], out_range[y0 + y, x0 + x] = grey[i], far[i]
+    if only != MIXED and only != CEILING:
+        name = objects[only - FIRST_PART] if only >= FIRST_PART else only
+        for y in range(rows):
+            for x in range(columns):
+                out_hit[y0 + y, x0 + x], out_id[y0 + y, x0 + x] = only, name
+        return
+    for y in range(rows):
+        for x in range(columns):
+            hit = hits[y * TILE_W + x]
             # an open place of the ceiling is no edge
-            out_hit[y0 + y, x0 + x] = hit if hit >= 0 else 5
+            out_hit[y0 + y, x0 + x] = hit if hit >= 0 else CEILING
             if hit >= FIRST_PART:
                 hit = objects[hit - FIRST_PART]
             out_id[y0 + y, x0 + x] = hit if hit >= 0 else SKY

@@ -34,6 +34,10 @@ from skyhaul.world.scenario import World
 ObjectKind = Literal["room", "static", "mover", "payload", "vehicle", "cable"]
 
 
+GRAIN_PER_M = 1.7
+"""Periods of the grain on the room's faces per metre."""
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """The world as cameras see it; `pose` moves it in place."""
@@ -227,5 +231,6 @@ def _hall(world: World, materials: Materials) -> Hall:
         light=np.array([0.86, 0.94, 0.98, 0.82, 1.05, 0.72]),
         opening=materials.opening,
         detail=materials.detail,
+        detail_per_m=GRAIN_PER_M,
         clouds=materials.clouds,
     )

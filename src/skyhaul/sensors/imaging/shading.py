@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How bright points of surfaces are: texture, a sun and light from all of the sky.
 
-Everything is matt. Grey values are linear: 1 is a white surface in full light. Each function
-shades those of the first n rays of a bundle that met one surface.
+Everything is matt. Grey values are linear: 1 is a white surface in full light. Each function looks
+at the first n rays of a bundle.
 """
 
 import math
@@ -12,69 +12,149 @@ import numpy as np
 from skyhaul.geometry.kernels import mat_t_vec
 from skyhaul.geometry.shapes import BOX, SPHERE
 from skyhaul.jit import njit_ieee
-from skyhaul.sensors.imaging.arrays import FIRST_PART, Bundle, Hall, Parts
-from skyhaul.sensors.imaging.atlas import Atlas, sample
-from skyhaul.types import Array
+from skyhaul.sensors.imaging.arrays import (
+    CEILING,
+    FIRST_PART,
+    MIXED,
+    Bundle,
+    Hall,
+    Parts,
+    SceneArrays,
+)
+from skyhaul.sensors.imaging.atlas import Atlas, read_textures, sample
+from skyhaul.types import Array, IntArray
 
 # mypy: disable-error-code="no-any-return"
 
 AMBIENT, SKYLIGHT, SUN = 0.42, 0.22, 0.46
 """Light from everywhere, more from above, and from the sun."""
-GRAIN_PER_M, GRAIN_TEXELS, GRAIN = 1.7, 48.0, 0.5
-"""Periods of the grain per metre, footprint at which it has faded out, and its contrast."""
+GRAIN_TEXELS, GRAIN = 48.0, 0.5
+"""Footprint at which the room's grain has faded out, and its contrast."""
 STEEPEST = 0.12
 """Footprints of pixels on a surface seen from the side grow no more than 1 over this."""
 
 
 @njit_ieee
-def shade_face(hall: Hall, atlas: Atlas, face: int, p: Array, rays: Bundle, n: int) -> None:
-    """Shade the rays that leave the room through one of its six faces."""
-    texel, k, g, axis = atlas.texel, hall.face[face], hall.detail, face >> 1
-    start, size, scale = atlas.start[k], atlas.size[k], 1.0 / hall.period[face]
-    grain_start, grain_n, grain_scale = atlas.start[g], atlas.size[g], GRAIN_PER_M * atlas.size[g]
-    light, ceiling = hall.light[face], face == 5
+def shade(
+    scene: SceneArrays, parts: int, seen: IntArray, only: int, p: Array, rays: Bundle, n: int
+) -> None:
+    """Give the first n rays their grey.
+
+    First every ray is told which place of which texture it reads and how brightly that is lit,
+    surface by surface; then all of them read at once.
+
+    Args:
+        scene: Posed.
+        parts: How many are in sight.
+        seen: Which.
+        only: `only_surface` of the rays.
+        p: Where the rays begin, (3,) [m].
+        rays: `hit` and `range` are known; `grey` is written.
+        n: How many.
+    """
+    hit, faces, solid, nothing = rays.hit, 0, False, False
+    for i in range(1 if only != MIXED else n):
+        if hit[i] >= FIRST_PART:
+            solid = True
+        elif hit[i] >= 0:
+            faces |= 1 << hit[i]
+        else:
+            nothing = True
+    for face in range(FIRST_PART):
+        if faces >> face & 1:
+            _find_on_face(scene.hall, scene.atlas, face, p, rays, n)
+    if solid:
+        for i in range(parts):
+            _find_on_part(scene.parts, scene.atlas, scene.sun, seen[i], p, rays, n)
+    if solid or faces:
+        read_textures(scene.atlas.texel, rays.patches, rays.spots, rays.work, n, rays.grey)
+        grey, light = rays.grey, rays.light
+        for i in range(n):
+            grey[i] *= light[i]
+    if faces:
+        _add_grain(scene.atlas, rays, n)
+    if nothing:
+        _shade_sky(scene.hall, scene.atlas, rays, n)
+    if faces >> CEILING & 1:
+        _open_ceiling(scene.hall, scene.atlas, rays, n)
+
+
+@njit_ieee
+def only_surface(rays: Bundle, n: int) -> int:
+    """Code of the surface that all of the first n rays met, or `MIXED`."""
+    hit, other = rays.hit, 0
+    first = hit[0]
+    for i in range(n):
+        other |= hit[i] ^ first
+    return first if other == 0 else MIXED
+
+
+@njit_ieee
+def _find_on_face(hall: Hall, atlas: Atlas, face: int, p: Array, rays: Bundle, n: int) -> None:
+    """Where on one of the six faces the rays lie that leave the room through it."""
+    k, axis = hall.face[face], face >> 1
     across, upright, right = (1 if axis == 0 else 0), axis < 2, 1.0
     if face == 0 or face == 3 or axis == 2:  # seen from inside, u runs to the right, v down
         u0 = p[across] - hall.low[across]
     else:
         u0, right = hall.high[across] - p[across], -1.0
     v0, down = (-p[2], 2) if upright else (hall.low[1] - p[1], 1)
-    ray, ranges, hit, pixel, out = rays.ray, rays.range, rays.hit, rays.pixel, rays.grey
+    ray, ranges, hit, pixel = rays.ray, rays.range, rays.hit, rays.pixel
+    out_u, out_v, out_wide = rays.spots
+    ray_u, ray_v, ray_n, steepest = ray[across], ray[down], ray[axis], np.float32(STEEPEST)
     for i in range(n):
-        if hit[i] != face:
-            continue
-        far = ranges[i]
-        a, b = u0 + right * far * ray[across, i], v0 - far * ray[down, i]
-        wide = far * pixel[i] / math.sqrt(max(abs(ray[axis, i]), STEEPEST))
-        grey = light * sample(texel, start, size, a * scale, b * scale, wide * scale * size)
-        texels = wide * grain_scale
-        if texels < GRAIN_TEXELS:
-            grain = sample(texel, grain_start, grain_n, a * GRAIN_PER_M, b * GRAIN_PER_M, texels)
-            # it fades out before its pyramid ends, so that no edge shows where it stops
-            fade = min(1.0, 2.0 - 2.0 * texels / GRAIN_TEXELS)
-            grey *= 1.0 + GRAIN * fade * (grain - 0.5)
-        out[i] = grey
-        if ceiling:
-            _open_ceiling(hall, atlas, a * scale, b * scale, wide * scale, i, rays)
+        here = np.float32(u0 + right * ranges[i] * ray_u[i])
+        out_u[i] = here if hit[i] == face else out_u[i]
+    for i in range(n):
+        here = np.float32(v0 - ranges[i] * ray_v[i])
+        out_v[i] = here if hit[i] == face else out_v[i]
+    for i in range(n):
+        facing = max(np.float32(abs(ray_n[i])), steepest)
+        here = np.float32(ranges[i] * pixel[i]) / np.sqrt(facing)
+        out_wide[i] = here if hit[i] == face else out_wide[i]
+    start, order = np.int32(atlas.start[k]), np.int32(atlas.order[k])
+    per_m, lit = np.float32(1.0 / hall.period[face]), np.float32(hall.light[face])
+    starts, orders, pers = rays.patches
+    light = rays.light
+    for i in range(n):
+        starts[i] = start if hit[i] == face else starts[i]
+    for i in range(n):
+        orders[i] = order if hit[i] == face else orders[i]
+    for i in range(n):
+        pers[i] = per_m if hit[i] == face else pers[i]
+    for i in range(n):
+        light[i] = lit if hit[i] == face else light[i]
 
 
 @njit_ieee
-def _open_ceiling(
-    hall: Hall, atlas: Atlas, u: float, v: float, wide: float, i: int, rays: Bundle
-) -> None:
-    """Let the sky into ray i where the ceiling is open."""
-    k = hall.opening
-    share = sample(atlas.texel, atlas.start[k], atlas.size[k], u, v, wide * atlas.size[k])
-    if share > 0.0:
-        d0, d1, d2 = rays.ray[0, i], rays.ray[1, i], rays.ray[2, i]
-        sky = _sky(hall, atlas, d0, d1, d2, rays.pixel[i])
-        rays.grey[i] += share * (sky - rays.grey[i])
-        if share > 0.5:
-            rays.hit[i], rays.range[i] = -1, np.inf
+def _add_grain(atlas: Atlas, rays: Bundle, n: int) -> None:
+    """Grain on the faces of the room; it fades out before its pyramid ends."""
+    grey, grain, texels, hit = rays.grey, rays.fine, rays.work.texels, rays.hit
+    read_textures(atlas.texel, rays.grain, rays.spots, rays.work, n, grain)
+    one, two, contrast = np.float32(1.0), np.float32(2.0), np.float32(GRAIN)
+    slope, zero, middle = np.float32(2.0 / GRAIN_TEXELS), np.float32(0.0), np.float32(0.5)
+    for i in range(n):
+        fade = max(min(one, two - slope * texels[i]), zero)
+        fade = fade if 0 <= hit[i] < FIRST_PART else zero
+        grey[i] *= one + contrast * fade * (grain[i] - middle)
 
 
 @njit_ieee
-def shade_sky(hall: Hall, atlas: Atlas, rays: Bundle, n: int) -> None:
+def _open_ceiling(hall: Hall, atlas: Atlas, rays: Bundle, n: int) -> None:
+    """Let the sky into the rays whose place of the ceiling is open."""
+    share, hit, grey = rays.fine, rays.hit, rays.grey
+    read_textures(atlas.texel, rays.opening, rays.spots, rays.work, n, share)
+    for i in range(n):
+        if hit[i] == CEILING and share[i] > 0.0:
+            d0, d1, d2 = rays.ray[0, i], rays.ray[1, i], rays.ray[2, i]
+            sky = _sky(hall, atlas, d0, d1, d2, rays.pixel[i])
+            grey[i] += share[i] * (sky - grey[i])
+            if share[i] > 0.5:
+                hit[i], rays.range[i] = -1, np.inf
+
+
+@njit_ieee
+def _shade_sky(hall: Hall, atlas: Atlas, rays: Bundle, n: int) -> None:
     """Shade the rays that met nothing."""
     for i in range(n):
         if rays.hit[i] == -1:
@@ -88,25 +168,25 @@ def _sky(hall: Hall, atlas: Atlas, d0: float, d1: float, d2: float, pixel: float
     if d2 < 0.0:
         return 0.62 + 0.5 * max(d2, -0.6)
     scale, k = 0.25 / (d2 + 0.12), hall.clouds
-    n = atlas.size[k]
-    wide = pixel * scale * scale * 4.0 * n
-    cloud = sample(atlas.texel, atlas.start[k], n, d0 * scale, d1 * scale, wide)
+    order = atlas.order[k]
+    wide = pixel * scale * scale * 4.0 * (1 << order)
+    cloud = sample(atlas.texel, atlas.start[k], order, d0 * scale, d1 * scale, wide)
     return (1.0 - 0.28 * d2) * (0.72 + 0.4 * cloud)
 
 
 @njit_ieee
-def shade_part(
+def _find_on_part(
     parts: Parts, atlas: Atlas, sun: Array, k: int, p: Array, rays: Bundle, n: int
 ) -> None:
-    """Shade the rays that met part k."""
+    """Where on part k the rays lie that met it, and how brightly it is lit there."""
     R, c, kind = parts.R_WP[k], parts.p_WP[k], parts.kind[k]
     s0, s1, s2 = parts.size[k, 0], parts.size[k, 1], parts.size[k, 2]
     q0, q1, q2 = mat_t_vec(R, (p[0] - c[0], p[1] - c[1], p[2] - c[2]))
     l0, l1, l2 = mat_t_vec(R, (sun[0], sun[1], sun[2]))
     up0, up1, up2 = R[2, 0], R[2, 1], R[2, 2]
-    scale, gain, faces = 1.0 / parts.period[k], parts.gain[k], parts.face[k]
-    texel, starts, sizes = atlas.texel, atlas.start, atlas.size
-    ray, ranges, hit, pixel, out = rays.ray, rays.range, rays.hit, rays.pixel, rays.grey
+    per_m, gain, faces = 1.0 / parts.period[k], parts.gain[k], parts.face[k]
+    ray, ranges, hit, pixel = rays.ray, rays.range, rays.hit, rays.pixel
+    spots, patches, light = rays.spots, rays.patches, rays.light
     for i in range(n):
         if hit[i] != FIRST_PART + k:
             continue
@@ -131,9 +211,9 @@ def shade_part(
         lit = AMBIENT + SKYLIGHT * (0.5 + 0.5 * (n0 * up0 + n1 * up1 + n2 * up2))
         lit += SUN * max(n0 * l0 + n1 * l1 + n2 * l2, 0.0)
         t = faces[face]
-        start, size = starts[t], sizes[t]
-        grey = sample(texel, start, size, u * scale, v * scale, wide * scale * size)
-        out[i] = gain * lit * grey
+        patches.start[i], patches.order[i], patches.per_m[i] = atlas.start[t], atlas.order[t], per_m
+        spots.across[i], spots.down[i], spots.wide[i] = u, v, wide
+        light[i] = gain * lit
 
 
 @njit_ieee

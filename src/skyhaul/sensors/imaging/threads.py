@@ -26,11 +26,21 @@ def draw_thread(scene: SceneArrays, lens: Lens, t: int, k: int, p: Array, frame:
     out_grey, out_range, out_id = frame.grey, frame.range, frame.object_id
     height, width = out_grey.shape
     oa = x * a0 + y * a1 + z * a2
+    # Camera and axis span a plane. A ray passes the axis at least as far off as it leaves the
+    # plane, so most rays are told apart by one product.
+    n0, n1, n2 = cross((x, y, z), a)
+    off = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    least = math.hypot(off, max(abs(oa) - half, 0.0))
+    reach = r / least if least > r and off > 0.0 else math.inf
+    scale = 1.0 / max(off, 1e-12)
+    p0, p1, p2 = scale * n0, scale * n1, scale * n2
     for i in range(TILE):
         row, column = y0 + i // TILE_W, x0 + i % TILE_W
         if row >= height or column >= width:
             continue
         d0, d1, d2 = ray[0, i], ray[1, i], ray[2, i]
+        if abs(d0 * p0 + d1 * p1 + d2 * p2) > reach + 2.0 * lens.pixel[t, i]:
+            continue
         da = d0 * a0 + d1 * a1 + d2 * a2
         od = x * d0 + y * d1 + z * d2
         A = max(1.0 - da * da, 1e-12)
