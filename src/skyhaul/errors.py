@@ -10,6 +10,10 @@ class ConfigError(SkyhaulError):
     """A scenario or an option is malformed or impossible."""
 
 
+class DivergenceError(SkyhaulError):
+    """The simulated motion is no longer finite: the flight cannot go on."""
+
+
 class FileError(SkyhaulError):
     """A file is missing, unreadable or of the wrong kind."""
 

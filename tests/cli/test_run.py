@@ -2,7 +2,9 @@
 """`skyhaul run` with a flight that is only told, not flown."""
 
 import argparse
-from collections.abc import Callable
+import errno
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numba
@@ -12,31 +14,45 @@ import skyhaul.cli.run as command
 from skyhaul.cli.main import main
 from skyhaul.cli.overrides import run_overrides
 from skyhaul.cli.progress import FlightBar
-from skyhaul.errors import ConfigError
+from skyhaul.errors import ConfigError, FileError
+from skyhaul.evaluation.folder import (
+    FolderTakenError,
+    create,
+    origin,
+    read_config,
+    remove,
+)
 from skyhaul.jit import told_of_compiling
 from skyhaul.mission.api import Outcome, Phase
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.flight import FlightProgress
 from skyhaul.mission.triggers import PeriodicTrigger
+from skyhaul.world.scenario import Scenario
 
 
 class Folder:
-    """Stands in for the recorder: makes the folder and one file."""
+    """Stands in for the recorder: makes the folder and one file, and knows whether it flew."""
 
     def __init__(self, folder: Path, config: RunConfig, seed: int) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "config.yaml").write_text(f"{config.name} {seed}")
+        self._fresh = create(folder, config, origin(seed))
+        self.folder, self.flown = folder, False
+
+    def withdraw(self) -> bool:
+        if not self.flown:
+            remove(self.folder, fresh=self._fresh)
+        return not self.flown
 
 
-def told(outcome: Outcome | Exception) -> Callable[..., Outcome]:
+def told(outcome: Outcome | BaseException, flown: bool = True) -> Callable[..., Outcome]:
     """A flight that ends as told."""
 
     def fly(
-        config: RunConfig, seed: int, recorder: object, progress: Callable[[FlightProgress], None]
+        config: RunConfig, seed: int, recorder: Folder, progress: Callable[[FlightProgress], None]
     ) -> Outcome:
+        recorder.flown = flown
         for t_us in (0, 100_000):
             progress(FlightProgress(t_us, 10_000_000, Phase.CARRY, 0.5, 3.0))
-        if isinstance(outcome, Exception):
+        if isinstance(outcome, BaseException):
             raise outcome
         return outcome
 
@@ -70,7 +86,7 @@ def test_the_exit_code_tells_whether_the_mission_was_done(
     monkeypatch.setattr(command, "fly", told(outcome(success, "because")))
     monkeypatch.setattr(command, "evaluate", lambda folder: {"mission_success": success})
     assert main(["run", "hover", "--seed", "5", "--out", "mine"]) == code
-    assert (written / "mine" / "config.yaml").read_text() == "hover 5"
+    assert read_config(written / "mine")[1].seed == 5
 
 
 def test_runs_without_out_get_folders_of_their_own(
@@ -86,13 +102,14 @@ def test_runs_without_out_get_folders_of_their_own(
 
 def test_no_name_leads_out_of_the_folder_of_runs() -> None:
     for name in ("../../etc", "/tmp/x", "a b/c", ".."):
-        assert command.default_folder(name, 0).parent == Path("runs")
+        assert next(command.default_folders(name, 0)).parent == Path("runs")
 
 
 def test_a_refused_flight_leaves_nothing(
     written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(command, "fly", told(ConfigError("start: vehicle 1 stands in a wall")))
+    refusal = ConfigError("start: vehicle 1 stands in a wall")
+    monkeypatch.setattr(command, "fly", told(refusal, flown=False))
     assert main(["run", "hover", "--out", "mine"]) == 1
     assert list(written.iterdir()) == []
     (written / "mine").mkdir()
@@ -107,7 +124,85 @@ def test_a_crash_keeps_the_folder_as_evidence(
     monkeypatch.setattr(command, "fly", told(RuntimeError("odd")))
     assert main(["run", "hover", "--out", "mine"]) == 1
     assert (written / "mine" / "config.yaml").is_file()
-    assert "a fault of ours: RuntimeError: odd" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "a fault of ours: RuntimeError: odd; what was flown is kept in mine; run with" in err
+
+
+@pytest.mark.parametrize("fault", [KeyboardInterrupt(), RuntimeError("odd")])
+def test_what_breaks_off_the_rehearsal_leaves_nothing(
+    fault: BaseException, written: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def rehearse(*_: object) -> None:
+        raise fault
+
+    monkeypatch.setattr(command, "rehearse", rehearse)
+    assert main(["run", "hover", "--out", "mine"]) in (1, 3)
+    assert list(written.iterdir()) == []
+
+
+def test_a_flight_that_the_disk_breaks_off_has_failed_and_is_kept(
+    written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "fly", told(FileError("log.mcap cannot be written: full")))
+    assert main(["run", "hover", "--out", "mine"]) == 3
+    assert (written / "mine" / "config.yaml").is_file()
+    assert "skyhaul: broken off: log.mcap cannot be written: full\n" in capsys.readouterr().err
+
+    def full(folder: Path) -> dict[str, bool]:
+        raise OSError(errno.ENOSPC, "No space left on device", "metrics.part")
+
+    monkeypatch.setattr(command, "evaluate", full)
+    assert main(["run", "hover", "--out", "other"]) == 3
+    monkeypatch.setattr(command, "fly", told(outcome(True, "done")))
+    assert main(["run", "hover", "--out", "third"]) == 1
+    assert (
+        "metrics.part: No space left on device; the flight is in third" in capsys.readouterr().err
+    )
+
+
+def test_a_run_that_another_process_began_is_left_alone(
+    written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both found no folder; the other one was faster to take it."""
+    folder = written / "mine"
+    make = Path.mkdir
+
+    def late(path: Path, *args: object, **kwargs: object) -> None:
+        monkeypatch.undo()
+        make(folder)
+        (folder / "config.yaml").write_text("other run")
+        make(path, *args, **kwargs)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Path, "mkdir", late)
+    assert main(["run", "hover", "--out", str(folder)]) == 1
+    assert [f.read_text() for f in folder.iterdir()] == ["other run"]
+    assert "is not empty; give a new or an empty folder" in capsys.readouterr().err
+
+
+def test_of_two_who_found_an_empty_folder_one_gets_it(tmp_path: Path) -> None:
+    config, found = RunConfig(), Path.iterdir
+    with pytest.MonkeyPatch.context() as patch:
+
+        def faster(path: Path) -> Iterator[Path]:
+            yield from found(path)
+            patch.undo()
+            create(path, config, origin(1))
+
+        patch.setattr(Path, "iterdir", faster)
+        with pytest.raises(FolderTakenError):
+            create(tmp_path, config, origin(0))
+    assert read_config(tmp_path)[1].seed == 1
+
+
+def test_default_names_are_taken_one_after_the_other(
+    written: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "strftime", lambda form: "20260101-000000")
+    monkeypatch.setattr(command, "fly", told(outcome(True, "done")))
+    other = Folder(written / "runs" / "hover-seed0-20260101-000000", RunConfig(), 0)
+    assert main(["run", "hover"]) == 0
+    assert read_config(other.folder)[0] == Scenario()
+    assert (written / "runs" / "hover-seed0-20260101-000000-2" / "config.yaml").is_file()
 
 
 def test_a_used_folder_is_refused_and_left_alone(

@@ -4,7 +4,8 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -18,6 +19,7 @@ from mcap_ros2.decoder import DecoderFactory
 from skyhaul.errors import FileError
 from skyhaul.evaluation.columns import Layout
 from skyhaul.evaluation.folder import read_config
+from skyhaul.evaluation.mcap_log import read_log
 from skyhaul.evaluation.metrics import evaluate
 from skyhaul.evaluation.parquet_log import GrowingParquet
 from skyhaul.evaluation.recorder import RunRecorder, _schema
@@ -119,6 +121,89 @@ def test_the_series_file_is_whole_after_every_row_group(tmp_path: Path, rows: li
         np.testing.assert_array_equal(table.column("t_us").to_numpy(), data[:at, 0])
     writer.close()
     assert path.read_bytes().count(b"PAR1") == 2  # no old footer is left inside
+
+
+@contextmanager
+def file_limit(size: int) -> Iterator[None]:
+    """Like a full disk: no file of this process may grow beyond a size [byte]."""
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_leaves_the_series_as_it_was(tmp_path: Path) -> None:
+    layout = Layout(2, ())
+    path = tmp_path / "s.parquet"
+    writer = GrowingParquet(path, _schema(layout))
+    data = np.random.default_rng(1).normal(size=(500, len(layout.names)))
+    writer.append(data[:250])
+    before = path.read_bytes()
+    with file_limit(len(before) + 1000):
+        for _ in range(2):
+            with pytest.raises(FileError, match=r"s\.parquet cannot be written: .*large"):
+                writer.append(data[250:])
+            assert path.read_bytes() == before
+    writer.append(data[250:])  # there is room again
+    writer.close()
+    table = pq.read_table(path)
+    np.testing.assert_array_equal(table.column("load_z_m").to_numpy(), data[:, 9])
+
+
+def test_a_flight_on_a_full_disk_can_be_read_and_says_so(
+    made_up: ModuleType, tmp_path: Path
+) -> None:
+    s = made_up.scenario()
+    recorder = RunRecorder(tmp_path / "r", s, 0)
+
+    def fly() -> None:
+        for k in range(4000):
+            recorder.tick(made_up.tick_at(s, 10_000 * k, made_up.Faults()))
+
+    with file_limit(300_000):
+        with pytest.raises(FileError) as refused:
+            fly()
+        with pytest.raises(FileError):
+            recorder.close(Outcome(False, f"broken off: {refused.value}", 0, {}, 1.0))
+    run = load_run(tmp_path / "r")
+    assert len(run.t_s) >= 250
+    assert run.events.outcome is not None
+    assert run.events.outcome.reason == f"broken off: {refused.value}"
+    assert evaluate(tmp_path / "r")["mission_success"] is False
+
+
+def test_a_log_without_its_end_or_without_anything_is_read_as_far_as_it_goes(
+    run_folder: Path, tmp_path: Path
+) -> None:
+    whole = (run_folder / "log.mcap").read_bytes()
+    path = tmp_path / "log.mcap"
+    counts = []
+    for size in np.linspace(60, len(whole), 40, dtype=int):  # the header is whole
+        path.write_bytes(whole[:size])
+        counts.append(len(list(read_log(path, {"/mission/phase"}))))
+    assert counts == sorted(counts)
+    assert (counts[0], counts[-1]) == (0, 4)
+    path.write_bytes(b"")
+    with pytest.raises(FileError, match="is not an MCAP file"):
+        list(read_log(path, {"/mission/phase"}))
+
+
+def test_only_a_run_without_a_step_can_be_withdrawn(made_up: ModuleType, tmp_path: Path) -> None:
+    s = made_up.scenario()
+    assert RunRecorder(tmp_path / "new", s, 0).withdraw()
+    (tmp_path / "empty").mkdir()
+    recorder = RunRecorder(tmp_path / "empty", s, 0)
+    (tmp_path / "empty" / "mine.txt").write_text("keep")
+    assert recorder.withdraw()
+    assert [f.name for f in tmp_path.rglob("*")] == ["empty", "mine.txt"]
+    recorder = RunRecorder(tmp_path / "flown", s, 0)
+    recorder.tick(made_up.tick_at(s, 0, made_up.Faults()))
+    assert not recorder.withdraw()
+    recorder.close(Outcome(False, "", 0, {}, 1.0))
+    assert len(load_run(tmp_path / "flown").t_s) == 1
 
 
 KILLED = """

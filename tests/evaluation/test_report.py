@@ -5,6 +5,7 @@ import re
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,7 @@ def test_the_report_needs_nothing_from_outside(page: str, run_folder: Path) -> N
 
 def test_the_data_in_the_report_can_be_parsed(page: str, run: Run) -> None:
     text = re.search(r'id="data">(.*?)</script>', page, flags=re.DOTALL).group(1)
-    data = json.loads(text.replace("<\\/", "</"))
+    data = json.loads(text)
     assert data["done"] is True
     assert data["scenario"] == "made-up"
     frames = data["frames"]
@@ -80,10 +81,14 @@ def test_a_hostile_name_cannot_leave_its_place_in_the_page(run: Run) -> None:
 
     data = report_data.report_data(run, run_metrics(run, EnergyModel()))
     bad = "</script><script>alert(1)</script>"
-    page = _page(data | {"scenario": bad, "outcome": bad}, "a: <b>&")
+    opening = "@@DATA@@<!--<script>@@TITLE@@"  # a comment in a script hides its end
+    page = _page(data | {"scenario": bad, "outcome": opening}, "a: <b>& @@DATA@@")
     assert page.count("</script>") == 3
     assert "</script><script>alert" not in page
-    assert "a: &lt;b&gt;&amp;" in page
+    assert "a: &lt;b&gt;&amp; @@DATA@@</pre>" in page
+    text = re.search(r'id="data">(.*?)</script>', page, flags=re.DOTALL).group(1)
+    assert "<" not in text
+    assert (json.loads(text)["scenario"], json.loads(text)["outcome"]) == (bad, opening)
 
 
 def test_png_holds_the_pixels() -> None:
@@ -114,6 +119,15 @@ def test_the_video_has_the_length_of_the_flight(run_folder: Path) -> None:
     assert len(frames) == 6
     assert frames[0].shape == (720, 1280, 3)
     assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 1.0
+
+
+@pytest.mark.parametrize("end_s", [0.3, 1000.0])
+def test_the_last_label_of_the_curves_keeps_off_the_edge(run: Run, end_s: float) -> None:
+    pytest.importorskip("matplotlib")
+    t_us = run.series["t"] * end_s / run.t_s[-1]
+    panel = video._panel(replace(run, series=run.series | {"t": t_us}))
+    drawn = np.flatnonzero((panel.pixels.min(axis=2) < 235).any(axis=0))
+    assert video.PANEL - drawn.max() > 10
 
 
 def test_a_run_without_a_single_row_has_a_report(tmp_path: Path) -> None:

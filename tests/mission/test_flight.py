@@ -6,12 +6,14 @@ import json
 import numpy as np
 import pytest
 
+from skyhaul.errors import FileError
 from skyhaul.evaluation.metrics import evaluate
 from skyhaul.evaluation.recorder import RunRecorder
 from skyhaul.evaluation.series import load_run
 from skyhaul.mission.api import Phase
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.flight import fly
+from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.world.load import load_config
 
 HOVER = ("task.duration_s=2",)
@@ -101,6 +103,44 @@ def test_an_interrupt_leaves_a_readable_run_folder(tmp_path):
     run = load_run(tmp_path / "run")
     assert run.t_s[-1] == pytest.approx(0.7)
     assert run.events.outcome.reason == "interrupted"
+
+
+def test_an_interrupt_before_the_first_step_leaves_a_readable_run_folder(tmp_path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("skyhaul.mission.flight.MujocoPlant", stop)
+    outcome = fly_into(tmp_path / "run", "hover", HOVER)
+    assert (outcome.reason, outcome.end_us) == ("interrupted", 0)
+    assert evaluate(tmp_path / "run")["outcome"] == "interrupted"
+
+
+def test_a_plant_that_diverges_fails_the_mission_and_keeps_what_was_flown(tmp_path, monkeypatch):
+    step = MujocoPlant.step
+
+    def burst(plant, rotor_cmd):
+        if plant.truth().stamp_us == 100_000:
+            plant._data.qvel[:] = np.nan
+        return step(plant, rotor_cmd)
+
+    monkeypatch.setattr(MujocoPlant, "step", burst)
+    outcome = fly_into(tmp_path / "run", "hover", HOVER)
+    assert (outcome.success, outcome.end_us) == (False, 100_000)
+    assert outcome.reason == "the plant diverged at 0.102 s"
+    metrics = evaluate(tmp_path / "run")
+    assert metrics["mission_success"] is False
+    assert "diverged" in metrics["outcome"]
+    assert len(load_run(tmp_path / "run").t_s) == 11
+
+
+def test_a_recorder_that_fails_ends_the_flight_with_its_reason(tmp_path, monkeypatch):
+    def full(recorder, tick):
+        raise FileError("the disk is full")
+
+    monkeypatch.setattr(RunRecorder, "tick", full)
+    with pytest.raises(FileError, match="the disk is full"):
+        fly_into(tmp_path / "run", "hover", HOVER)
+    assert load_run(tmp_path / "run").events.outcome.reason == "broken off: the disk is full"
 
 
 def test_a_fault_of_ours_is_passed_on_and_closes_the_folder(tmp_path):

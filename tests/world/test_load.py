@@ -90,6 +90,22 @@ def test_files_that_extend_each_other_are_refused(tmp_path: Path) -> None:
         load_config(Scenario, tmp_path / "mine.yaml")
 
 
+@pytest.mark.parametrize("link", ["two.yaml", "three.yaml"])
+def test_a_cycle_across_folders_is_refused(tmp_path: Path, link: str) -> None:
+    for name, base in (("a/one.yaml", f"../b/{link}"), ("b/two.yaml", "../a/one.yaml")):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(f"extends: {base}")
+    (tmp_path / "b" / "three.yaml").symlink_to("two.yaml")
+    with pytest.raises(ConfigError, match=r"^\.\./b/.*: extends: \.\./a/one.yaml leads back to it"):
+        load_config(Scenario, tmp_path / "a" / "one.yaml")
+
+
+def test_a_file_may_extend_one_of_its_name_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "base").mkdir()
+    (tmp_path / "base" / "mine.yaml").write_text("limits: {v_max_mps: 1.25}")
+    assert load_text(tmp_path, "extends: base/mine.yaml").limits.v_max_mps == 1.25
+
+
 def test_overrides_reach_list_entries_and_whole_branches(tmp_path: Path) -> None:
     s = load_text(
         tmp_path,
@@ -220,6 +236,9 @@ def test_a_word_outside_a_choice_is_refused_with_the_choices(tmp_path: Path) -> 
         (b"name: a\nteam: {}\nname: b\n", "line 3: the key 'name' stands twice"),
         (b"team: {count: 3, count: 4}", "line 1: the key 'count' stands twice"),
         (b"a: &x [1]\nb: *x\n", "line 2: aliases (*name) are not allowed"),
+        (b"name: a\n? [1, 2]\n: 3\n", "line 2: a key must be a single word, not a list"),
+        (b"{a: b}: 3\n", "line 1: a key must be a single word, not a list or a mapping"),
+        (b"limits: {<<: {v_max_mps: 1}}\n", "line 1: merge keys (<<) are not allowed"),
         (b"name: !!python/object:os.system {}", "could not determine a constructor"),
         (b"a: 2020-13-99\n", "no YAML"),
         (b"[" * 5000, ""),
@@ -255,6 +274,8 @@ def test_missing_files_and_unknown_names_are_told_apart(tmp_path: Path) -> None:
         ("limits.v_max=1", "limits.v_max: unknown key; did you mean 'v_max_mps'?"),
         ("limits.v_max_mps.x=1", "limits.v_max_mps: must be a single value, got a mapping"),
         ("limits.v_max_mps=[", "'[' is no YAML value"),
+        ("limits.v_max_mps=2020-13-99", "'2020-13-99' is no YAML value"),
+        ("limits={[1]: 2}", "'{[1]: 2}' is no YAML value"),
         ("limits.v_max_mps=-1", "limits: v_max_mps must be > 0, got -1"),
     ],
 )

@@ -243,7 +243,8 @@ def _version() -> str:
 
 def _one_line(error: Exception) -> str:
     text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    name = type(error).__name__
+    return "; ".join([f"{name}: {text}" if text else name, *getattr(error, "__notes__", ())])
 
 
 def _fail(sentence: str) -> int:

@@ -5,6 +5,7 @@ import json
 import os
 import platform
 import subprocess
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -48,20 +49,58 @@ def origin(seed: int) -> Origin:
     return Origin(seed, _commit(), versions, machine)
 
 
-def create(folder: Path, config: Scenario, made: Origin) -> None:
-    """Make a run folder with its `config.yaml`.
+class FolderTakenError(FileError):
+    """The folder is not empty: it holds another run, or something else."""
+
+
+def create(folder: Path, config: Scenario, made: Origin) -> bool:
+    """Take a new or empty folder for a run; its `config.yaml` is the lock.
+
+    Returns:
+        Whether the folder was made.
 
     Raises:
-        FileError: when the folder cannot be made or is not empty.
+        FolderTakenError: when it is not empty, or another process is faster.
+        FileError: when it cannot be made or written.
     """
+    taken = FolderTakenError(f"{folder}: is not empty; give a new or an empty folder")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        fresh = _make(folder)
+        if not fresh and any(folder.iterdir()):
+            raise taken
+        lock = (folder / CONFIG).open("x", encoding="utf-8")
+    except FileExistsError:
+        raise taken from None
     except OSError as fault:
         raise FileError(f"{folder} cannot be made: {fault.strerror}") from fault
-    if any(folder.iterdir()):
-        raise FileError(f"{folder} is not empty; name another folder or remove it first")
     text = _HEAD.format(seed=made.seed) + _ORIGIN + json.dumps(vars(made)) + "\n"
-    (folder / CONFIG).write_text(text + dump_config(config), encoding="utf-8")
+    try:
+        with lock:
+            lock.write(text + dump_config(config))
+    except OSError as fault:
+        remove(folder, fresh=fresh)
+        raise FileError(f"{folder / CONFIG} cannot be written: {fault.strerror}") from fault
+    return fresh
+
+
+def remove(folder: Path, *, fresh: bool) -> None:
+    """Undo `create`, and what a flight wrote that has not begun; nothing else is touched."""
+    for name in (LOG, STATES, CONFIG):
+        (folder / name).unlink(missing_ok=True)
+    if fresh:
+        with suppress(OSError):
+            folder.rmdir()
+
+
+def _make(folder: Path) -> bool:
+    """Make a folder unless it is there; whether it was made."""
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        if not folder.is_dir():
+            raise FileError(f"{folder}: is a file; give a folder") from None
+        return False
+    return True
 
 
 def read_config(folder: Path) -> tuple[Scenario, Origin]:

@@ -4,7 +4,8 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from struct import error as StructError  # noqa: N812
+from typing import IO, Any, cast
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
@@ -15,6 +16,7 @@ from mcap.writer import CompressionType, Writer
 from skyhaul.errors import FileError
 from skyhaul.evaluation.ros2.cdr import Codec, codec
 from skyhaul.evaluation.ros2.schema import schema_text
+from skyhaul.evaluation.whole_file import WholeFile
 from skyhaul.types import TimeUs
 
 FLUSH_PERIOD_US: TimeUs = 1_000_000
@@ -22,15 +24,20 @@ FLUSH_PERIOD_US: TimeUs = 1_000_000
 
 
 class McapLog:
-    """Writes messages; each topic is registered at its first message."""
+    """Writes messages; each topic is registered at its first message.
+
+    When the disk refuses a chunk (FileError), that chunk is lost and the log has no index; what
+    was written before and what still fits afterwards can be read.
+    """
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("wb")
-        self._writer = Writer(self._file, chunk_size=4 << 20, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library="skyhaul")
+        self._file = WholeFile(path)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, tuple[int, Codec]] = {}
         self._flushed_us: TimeUs = 0
+        self._writer = _writer(self._file)
+        self._writer.start(profile="ros2", library="skyhaul")
+        self._indexed, self._closed = True, False
 
     def write(self, topic: str, type_name: str, t_us: TimeUs, *leaves: Any) -> None:  # noqa: ANN401
         """Log a message given as its leaves (see `ros2.cdr`), `type_name` as `package/Type`."""
@@ -39,23 +46,47 @@ class McapLog:
 
     def write_encoded(self, topic: str, type_name: str, t_us: TimeUs, data: bytes) -> None:
         """Log a message that is encoded already."""
+        if self._file.refused:
+            self._begin_anew()
         if t_us >= self._flushed_us + FLUSH_PERIOD_US:
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self.flush()
             self._flushed_us = t_us
         channel, _ = self._channels.get(topic) or self._register(topic, type_name)
         self._writer.add_message(channel, t_us * 1000, data, t_us * 1000)
 
     def copy(self, record: "RawRecord") -> None:
         """Log a message as another log holds it."""
+        if self._file.refused:
+            self._begin_anew()
         channel, _ = self._channels.get(record.topic) or self._register(
             record.topic, record.type_name
         )
         self._writer.add_message(channel, record.t_us * 1000, record.data, record.t_us * 1000)
 
+    def flush(self) -> None:
+        """Write out what came so far."""
+        if self._file.refused:
+            self._begin_anew()
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
     def close(self) -> None:
-        """Write the index and close the file."""
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._file.close()
+        """Write the index and close the file; nothing when it is closed."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            if self._indexed and not self._file.refused:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+            elif not self._file.refused:
+                self.flush()
+        finally:
+            self._file.close()
+
+    def _begin_anew(self) -> None:
+        """Forget what was refused; there is no index for what lies before."""
+        self._indexed = False
+        self._schemas, self._channels = {}, {}
+        self._file.refused, self._writer = False, _writer(self._file)
 
     def _register(self, topic: str, type_name: str) -> tuple[int, Codec]:
         if type_name not in self._schemas:
@@ -65,6 +96,11 @@ class McapLog:
         channel = self._writer.register_channel(topic, "cdr", self._schemas[type_name])
         self._channels[topic] = channel, codec(type_name)
         return self._channels[topic]
+
+
+def _writer(file: WholeFile) -> Writer:
+    stream = cast(IO[Any], file)
+    return Writer(stream, chunk_size=4 << 20, compression=CompressionType.ZSTD)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +166,7 @@ def _messages(
                 assert schema is not None, "every channel of ours has a schema"
                 yield schema, channel, message
             return
-    except McapError:
+    except (McapError, OSError):  # too short, or its end is no index
         pass
     stream.seek(0)
     schemas: dict[int, Schema] = {}
@@ -156,7 +192,7 @@ def _until_broken(path: Path, stream: IO[bytes]) -> Iterator[object]:
     while True:
         try:
             record = next(records)
-        except (McapError, StopIteration) as fault:
+        except (McapError, StopIteration, StructError) as fault:
             if first:
                 raise FileError(f"{path} is not an MCAP file") from fault
             return

@@ -2,12 +2,13 @@
 """A Parquet file that grows by row groups and is complete after each of them."""
 
 import io
-import os
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from skyhaul.errors import FileError
+from skyhaul.evaluation.whole_file import WholeFile
 from skyhaul.types import Array
 
 _MAGIC = b"PAR1"
@@ -37,19 +38,24 @@ class GrowingParquet:
     """Appends row groups; after each the file on disk is whole and readable.
 
     A Parquet file ends with a footer that says where every column chunk lies. Each append writes
-    the new row group over the old footer, and the new footer behind it, in one system call: a
-    process that is killed leaves either the file before it or the file after it.
+    the new row group over the old footer, and the new footer behind it, in one system call. When
+    the disk is full the old footer is put back: the file keeps all row groups before.
     """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         self._schema = schema
-        self._file = path.open("wb", buffering=0)
-        self._end = self._file.write(_MAGIC)
+        self._file = WholeFile(path)
+        self._file.write(_MAGIC)
         self._metadata: pq.FileMetaData | None = None
+        self._footer = b""
         self._append(self._schema.empty_table())
 
     def append(self, rows: Array) -> None:
-        """Write rows, (k, columns), as one row group; columns are cast to the schema's types."""
+        """Write rows, (k, columns), as one row group; columns are cast to the schema's types.
+
+        Raises:
+            FileError: When the disk refuses; the file then is as it was before.
+        """
         columns = [
             pa.array(rows[:, j]).cast(field.type, safe=False)
             for j, field in enumerate(self._schema)
@@ -61,18 +67,19 @@ class GrowingParquet:
         self._file.close()
 
     def _append(self, table: pa.Table) -> None:
-        body, metadata = _row_group(table, self._end)
-        if self._metadata is None:
-            self._metadata = metadata
-        else:
+        body, metadata = _row_group(table, self._file.tell())
+        if self._metadata is not None:
             self._metadata.append_row_groups(metadata)
-        footer = io.BytesIO()
-        self._metadata.write_metadata_file(footer)
-        tail = body + footer.getvalue()[len(_MAGIC) :]
-        written = os.pwrite(self._file.fileno(), tail, self._end)
-        if written != len(tail):
-            raise OSError(f"the disk took {written} of {len(tail)} bytes of {self._file.name}")
-        self._end += len(body)
+            metadata = self._metadata
+        written = io.BytesIO()
+        metadata.write_metadata_file(written)
+        footer = written.getvalue()
+        try:
+            self._file.write_with_tail(body, footer[len(_MAGIC) :])
+        except FileError:
+            self._metadata = pq.read_metadata(io.BytesIO(self._footer)) if self._footer else None
+            raise
+        self._metadata, self._footer = metadata, footer
 
 
 def _row_group(table: pa.Table, offset: int) -> tuple[bytes, pq.FileMetaData]:

@@ -2,6 +2,7 @@
 """Takes a flight down into its run folder."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from skyhaul.comms.api import Envelope
+from skyhaul.errors import FileError
 from skyhaul.evaluation import extremes, folder
 from skyhaul.evaluation.columns import ROW_PERIOD_US, Layout
 from skyhaul.evaluation.energy import EnergyModel, rotor_power_factor
@@ -41,7 +43,7 @@ class RunRecorder:
     def __init__(
         self, path: Path, config: Scenario, seed: int, energy: EnergyModel | None = None
     ) -> None:
-        folder.create(path, config, folder.origin(seed))
+        self._fresh = folder.create(path, config, folder.origin(seed))
         self.folder = path
         n = config.team.count
         obstacles = config.world.obstacles
@@ -49,8 +51,12 @@ class RunRecorder:
         self._layout = Layout(n, tuple(moving))
         self._movers = np.array(moving, dtype=np.int64)
         self._rows: list[Row] = []
-        self._states = GrowingParquet(path / folder.STATES, _schema(self._layout))
-        self._log = McapLog(path / folder.LOG)
+        try:
+            self._states = GrowingParquet(path / folder.STATES, _schema(self._layout))
+            self._log = McapLog(path / folder.LOG)
+        except FileError:
+            folder.remove(path, fresh=self._fresh)
+            raise
         self._team_log = TeamLog(self._log, config, self._movers)
         self._events = EventsLog(self._log)
         radius = config.team.vehicle.rotor_radius_m
@@ -109,11 +115,25 @@ class RunRecorder:
         self._events.message(envelope)
 
     def close(self, outcome: Outcome) -> None:
-        """The flight is over, or was interrupted; called exactly once."""
-        self._events.outcome(outcome)
-        self._flush()
+        """The flight is over, or was interrupted; called exactly once.
+
+        Raises:
+            FileError: When the disk refuses; what was written before can be read.
+        """
+        with ExitStack() as closing:
+            closing.callback(self._log.close)
+            closing.callback(self._states.close)
+            closing.callback(self._end, outcome)
+            self._flush()
+
+    def withdraw(self) -> bool:
+        """Remove the run when no step of it was flown; whether it was removed."""
+        if self._phase is not None:
+            return False
         self._states.close()
         self._log.close()
+        folder.remove(self.folder, fresh=self._fresh)
+        return True
 
     def __enter__(self) -> "RunRecorder":
         return self
@@ -128,6 +148,13 @@ class RunRecorder:
         if not self._events.closed:
             reason = f"broken off by {kind.__name__}" if kind else "broken off"
             self.close(Outcome(False, reason, self._now_us, {}, 0.0))
+
+    def _end(self, outcome: Outcome) -> None:
+        """Log the end, even when the disk has refused what came before."""
+        try:
+            self._log.flush()
+        finally:
+            self._events.outcome(outcome)
 
     def _enter(self, phase: Phase, t_us: TimeUs) -> None:
         """A new phase: what is counted after lift-off starts anew at lift-off."""

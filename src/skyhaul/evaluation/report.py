@@ -2,6 +2,7 @@
 """`report.html`: one file that shows a run, without a network."""
 
 import json
+import re
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -45,16 +46,11 @@ def _page(data: Data, config: str) -> str:
         "TITLE": escape(title),
         "STYLE": _template("report.css"),
         "CONFIG": escape(config),
-        "DATA": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("</", "<\\/"),
+        "DATA": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
         "SCRIPT": "\n".join(_template(name) for name in _SCRIPTS),
         "PLOTLY": _plotly(),
     }
-    page = _template("report.html")
-    for key, text in parts.items():
-        head, mark, tail = page.partition(f"@@{key}@@")
-        assert mark, f"the template has a place for {key}"
-        page = head + text + tail
-    return page
+    return re.sub("@@([A-Z]+)@@", lambda place: parts[place[1]], _template("report.html"))
 
 
 def _template(name: str) -> str:

@@ -119,7 +119,7 @@ def _panel(run: Run) -> Panel:
     figure = Figure(figsize=(PANEL / 100, HEIGHT / 100), dpi=100, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     grid = figure.subplots(4, 1, sharex=True, gridspec_kw={"hspace": 0.38})
-    figure.subplots_adjust(left=0.12, right=0.96, top=0.87, bottom=0.06)
+    figure.subplots_adjust(left=0.12, right=0.94, top=0.87, bottom=0.06)
     for axes, (title, values, bound) in zip(grid, _curves(run), strict=True):
         _draw_curves(axes, run, title, values, bound)
     grid[-1].set_xlim(0.0, max(run.t_s[-1], 1e-3))

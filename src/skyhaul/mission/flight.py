@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skyhaul.errors import DivergenceError, SkyhaulError
 from skyhaul.mission.api import Outcome, Phase, Recorder
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.crew import Crew
@@ -53,18 +54,31 @@ def fly(
         progress: Called ten times per simulated second.
 
     Returns:
-        How it ended. An interrupt ends the flight without success; it is not passed on.
+        How it ended. An interrupt ends the flight without success; it is not passed on. Neither
+        is a plant that diverges.
+
+    Raises:
+        SkyhaulError: When the flight is impossible, or the disk takes no more; the recorder has
+            been told before.
     """
-    flight = Flight(config, seed, recorder)
-    verdict = Verdict(over=True, success=False, reason="broken off by a fault of the program")
+    flight, verdict = None, _failed("broken off by a fault of the program")
     try:
+        flight = Flight(config, seed, recorder)
         verdict = flight.run(progress)
     except KeyboardInterrupt:
-        verdict = Verdict(over=True, success=False, reason="interrupted")
+        verdict = _failed("interrupted")
+    except SkyhaulError as fault:
+        verdict = _failed(f"broken off: {fault}")
+        raise
     finally:
-        outcome = flight.outcome(verdict)
+        unflown = Outcome(success=False, reason=verdict.reason, end_us=0, cpu_s={}, wall_s=0.0)
+        outcome = flight.outcome(verdict) if flight else unflown
         recorder.close(outcome)
     return outcome
+
+
+def _failed(reason: str) -> Verdict:
+    return Verdict(over=True, success=False, reason=reason)
 
 
 class Flight:
@@ -86,7 +100,13 @@ class Flight:
         self._obstacle_memory = config.perception.obstacles.init()
 
     def run(self, progress: ShowProgress | None) -> Verdict:
-        """Cycle until the judge ends the flight."""
+        """Cycle until the judge ends the flight, or the plant diverges."""
+        try:
+            return self._run(progress)
+        except DivergenceError as fault:
+            return _failed(str(fault))
+
+    def _run(self, progress: ShowProgress | None) -> Verdict:
         verdict = FLYING_ON
         while not verdict.over:
             t_us = self._truth.stamp_us

@@ -4,7 +4,7 @@
 import mujoco
 import numpy as np
 
-from skyhaul.errors import ConfigError, SkyhaulError
+from skyhaul.errors import ConfigError, DivergenceError, SkyhaulError
 from skyhaul.geometry.distance import bounding_radius
 from skyhaul.geometry.shapes import ShapeArrays
 from skyhaul.model.envelope import team_shape
@@ -101,7 +101,11 @@ class MujocoPlant:
         return self._truth
 
     def step(self, rotor_cmd: Array) -> Truth:
-        """Advance `PLANT_STEP_US` under commanded rotor thrusts, (n, 4) [N]; clipped per rotor."""
+        """Advance `PLANT_STEP_US` under commanded rotor thrusts, (n, 4) [N]; clipped per rotor.
+
+        Raises:
+            DivergenceError: when the state is no longer finite.
+        """
         command = np.array(rotor_cmd, dtype=np.float64)  # a copy: kernels see one type only
         if command.shape != self._rotors.shape:
             raise SkyhaulError(
@@ -201,7 +205,7 @@ class MujocoPlant:
             tuple(self._touches),
         )
         if not finite:
-            raise SkyhaulError(f"the plant diverged at {self._t_us / US_PER_S:.3f} s")
+            raise DivergenceError(f"the plant diverged at {self._t_us / US_PER_S:.3f} s")
         return Truth(
             stamp_us=self._t_us,
             team=TeamState(o.p_WL, o.q_WL, o.v_WL, o.w_WL_L, o.p_WB, o.q_WB, o.v_WB, o.w_WB_B),

@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import yaml
 
@@ -47,8 +47,8 @@ def load_config(cls: type[C], source: str | Path, overrides: Sequence[str] = ())
         ConfigError: When its content is malformed or impossible. One sentence: file, path of the
             key, what came, what is allowed.
     """
-    name, text, folder = _read(str(source))
-    tree = _resolve(cls, name, text, folder, ())
+    file = _read(str(source))
+    name, tree = file.name, _resolve(cls, file, ())
     for override in overrides:
         tree = _override(tree, override)
     try:
@@ -68,9 +68,18 @@ def dump_config(config: object) -> str:
     return str(text)
 
 
-def _resolve(cls: type[object], name: str, text: str, folder: Path, seen: tuple[str, ...]) -> Tree:
-    """Tree of a file on top of its base, or of the defaults."""
-    tree = _parse(name, text)
+class _File(NamedTuple):
+    """A scenario file that was read."""
+
+    name: str  # as it was asked for
+    text: str
+    folder: Path  # where its base is looked for
+    place: str  # the same for every name of the file
+
+
+def _resolve(cls: type[object], file: _File, above: tuple[str, ...]) -> Tree:
+    """Tree of a file on top of its base, or of the defaults; `above` are places that extend it."""
+    name, tree = file.name, _parse(file.name, file.text)
     base_source = tree.pop("extends", None)
     if base_source is None:
         base = to_tree(cls())
@@ -78,11 +87,10 @@ def _resolve(cls: type[object], name: str, text: str, folder: Path, seen: tuple[
         return _merged(cls, base, tree, name)
     if not isinstance(base_source, str):
         raise ConfigError(f"{name}: extends: must name one scenario or file, got {base_source!r}")
-    base_name, base_text, base_folder = _read(base_source, folder)
-    key = str(base_folder / base_name)
-    if key in seen:
+    base_file, above = _read(base_source, file.folder), (*above, file.place)
+    if base_file.place in above:
         raise ConfigError(f"{name}: extends: {base_source} leads back to itself")
-    base = _resolve(cls, base_name, base_text, base_folder, (*seen, key))
+    base = _resolve(cls, base_file, above)
     base["name"] = Path(name).stem
     return _merged(cls, base, tree, name)
 
@@ -124,7 +132,7 @@ def _override(tree: Tree, override: str) -> Tree:
         raise ConfigError(f"--set {override}: write it as key.path=value")
     try:
         value = yaml.load(text, _Loader)
-    except yaml.YAMLError:
+    except (yaml.YAMLError, RecursionError, ValueError):
         raise ConfigError(f"--set {override}: {text!r} is no YAML value") from None
     result: Tree = _with_entry(tree, [s.strip() for s in steps], value, override)
     return result
@@ -160,14 +168,23 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:  # noqa: ANN401
-        """Refuse a key that stands twice in one mapping."""
+        """Refuse merge keys, keys that are lists or mappings, and a key that stands twice."""
         seen: set[str] = set()
         for key, _ in node.value:
-            if key.value in seen:
-                problem = f"the key {key.value!r} stands twice"
+            problem = _problem(key, seen)
+            if problem:
                 raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
             seen.add(str(key.value))
         return super().construct_mapping(node, deep)
+
+
+def _problem(key: yaml.Node, seen: set[str]) -> str:
+    """What is wrong with a key after those that were seen in its mapping."""
+    if not isinstance(key, yaml.ScalarNode):
+        return "a key must be a single word, not a list or a mapping"
+    if key.tag == "tag:yaml.org,2002:merge":
+        return "merge keys (<<) are not allowed, write the keys out"
+    return f"the key {key.value!r} stands twice" if key.value in seen else ""
 
 
 def _parse(name: str, text: str) -> Tree:
@@ -186,11 +203,12 @@ def _parse(name: str, text: str) -> Tree:
     return tree
 
 
-def _read(source: str, folder: Path = Path()) -> tuple[str, str, Path]:
-    """Name, text and folder of a shipped scenario or a file."""
+def _read(source: str, folder: Path = Path()) -> _File:
+    """A shipped scenario, or a file."""
     shipped = resources.files("skyhaul.world") / "scenarios"
     if source in scenario_names():
-        return source, (shipped / f"{source}.yaml").read_text("utf-8"), Path("shipped")
+        text = (shipped / f"{source}.yaml").read_text("utf-8")
+        return _File(source, text, Path("shipped"), f"shipped {source}")
     path = folder / source
     if not path.is_file():
         raise FileError(_no_such(source, path))
@@ -203,7 +221,7 @@ def _read(source: str, folder: Path = Path()) -> tuple[str, str, Path]:
     if b"\0" in data:
         raise FileError(f"{source}: is a binary file; it must be YAML text")
     try:
-        return source, data.decode("utf-8"), path.parent
+        return _File(source, data.decode("utf-8"), path.parent, str(path.resolve()))
     except UnicodeDecodeError:
         raise FileError(f"{source}: is no UTF-8 text; it must be YAML text") from None
 
