@@ -80,7 +80,7 @@ def test_a_new_leader_without_a_plan_solves_from_what_is_measured(ensemble):
     leader = leader_of(ensemble)
     estimate = look(leader, ensemble, 0)
     solve(leader, estimate, "start")
-    leader.take_over(1, None)
+    leader.take_over(2_000, 1, None, None)
     assert leader.solve_event(2_000, estimate) == "start"
     solve(leader, replace(estimate, stamp_us=2_000), "start")
     np.testing.assert_allclose(
@@ -145,7 +145,7 @@ def taut(i, t_us):
     return Status(
         stamp_us=t_us, vehicle=i, p_WB=np.zeros(3), v_WB=np.zeros(3), tension=0.5, taut=True,
         attached=True, at_station=True, station_in_s=0.0, on_way_s=1.0,
-        faulty=np.zeros(4, np.bool_), order_us=-1, plan_us=-1,
+        faulty=np.zeros(4, np.bool_), hears=np.ones(4, np.bool_), order_us=-1, plan_us=-1,
     )  # fmt: skip
 
 

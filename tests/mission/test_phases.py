@@ -30,6 +30,7 @@ READY = Status(
     station_in_s=0.0,
     on_way_s=2.5,
     faulty=np.zeros(4, dtype=bool),
+    hears=np.ones(4, dtype=bool),
     order_us=0,
     plan_us=0,
 )

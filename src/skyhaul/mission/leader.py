@@ -12,6 +12,7 @@ from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.mapping.api import MapChange, WorldMap
 from skyhaul.mission.api import Phase, Recorder, Replan, Trigger
 from skyhaul.mission.forces import ForcePlanning
+from skyhaul.mission.hearing import SILENT_US
 from skyhaul.mission.latency import Pending
 from skyhaul.mission.loss import reference_after_loss, rest_after_loss
 from skyhaul.mission.phases import LeaderView, next_phase, spool_plan
@@ -103,10 +104,18 @@ class Leader:
         turned = reference_after_loss(self._stack, reference, t_us, R_WL)
         self._adopt(t_us, turned, reaches_goal)
 
-    def take_over(self, index: int, message: PlanMessage | None) -> None:
-        """Lead from another vehicle; flies on along the plan that this one received last."""
-        self.index = index
+    def take_over(
+        self, t_us: TimeUs, index: int, order: Order | None, message: PlanMessage | None
+    ) -> None:
+        """Lead from another vehicle: go on from the order and the plan that it received last."""
+        self._recorder.trigger(Trigger(t_us, "leader", f"vehicle {index} follows {self.index}"))
+        self.index, self.order = index, None  # it orders by its own name
+        if order is not None:
+            self.phase, self._phase_since_us = Phase(order.phase), order.since_us
+        if message is not None and message.reference is not self.reference:
+            self._adopt(t_us, message.reference, self._stack.task.kind != "goto")
         self.forces.follow(message)
+        self.forces.new_reference()
 
     # Step 1: M(t) = SLAM(p(t), o(t)) ------------------------------------------------------------
     def update_map(self, estimate: TeamEstimate, obstacles: ObstacleEstimate) -> None:
@@ -136,13 +145,18 @@ class Leader:
         return LeaderView(
             phase=self.phase,
             since_s=(t_us - self._phase_since_us) / US_PER_S,
-            statuses=tuple(self._statuses.get(int(i)) for i in np.flatnonzero(self.active)),
+            statuses=tuple(self._heard(t_us, int(i)) for i in np.flatnonzero(self.active)),
             column_blocked=blocked,
             reference_ended=self.reference is not None and t_us >= self.reference.end_us,
             reaches_goal=self._reaches_goal,
             lifted_m=float(estimate.team.p_WL[2]) - self._floor_z,
             enough_left=self._enough_left,
         )
+
+    def _heard(self, t_us: TimeUs, i: int) -> Status | None:
+        """The last heartbeat of a vehicle, unless it has fallen silent."""
+        status = self._statuses.get(i)
+        return status if status and t_us - status.stamp_us <= SILENT_US else None
 
     def _column_blocked(self, t_us: TimeUs, estimate: TeamEstimate) -> bool:
         """Whether a mover comes in the way of the take-off before the team can dodge it."""
