@@ -109,6 +109,7 @@ def tick_at(s: Scenario, t_us: int, faults: Faults) -> Tick:
     n, team = s.team.count, s.team
     airborne = t_us >= CARRY_US
     p_WL = arc(t_us) + SHIFT
+    p_WL[2] = p_WL[2] if airborne else 0.5 * team.payload.size_m[2]
     moving = CARRY_US <= t_us < HOVER_US
     v_WL = (arc(t_us + 1) - arc(t_us)) * 1e6 if moving else np.zeros(3)
     p_LB, cable_dir, flat = formation(n)

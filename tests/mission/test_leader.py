@@ -169,6 +169,22 @@ def test_the_journey_is_planned_while_the_load_rises_and_not_before(
     np.testing.assert_allclose(b[:, :2], a[:, :2], atol=0.01)  # straight up at first
 
 
+def test_a_vehicle_lost_while_the_load_stands_on_the_floor_calls_the_take_off_off(
+    ensemble, make_ensemble, ground_stack
+):
+    for t_us in (1_000_000, 1_600_000):
+        leader = lifting(ensemble, make_ensemble, ground_stack, 1_000_000)
+        assert leader.phase is Phase.LIFT
+        leader.hear(t_us, [], frozenset({1}))
+        look(leader, ensemble, t_us, FLOOR)
+        assert leader.order.phase == Phase.ABORT.value
+        assert leader.solve_event(t_us, ensemble.estimate(t_us)) is None
+    leader = lifting(ensemble, make_ensemble, ground_stack, 1_000_000)
+    leader.hear(2_000_000, [], frozenset({1}))
+    look(leader, ensemble, 2_000_000, np.add(FLOOR, [0.0, 0.0, 0.05]))
+    assert leader.phase is Phase.LIFT  # in the air it is flown on
+
+
 def test_a_mover_over_a_station_holds_the_take_off(ensemble, make_ensemble, ground_stack):
     leader = leader_of(make_ensemble(ground_stack))
     station = station_point(ground_stack.team, FLOOR, np.eye(3), 3, 1.0)

@@ -10,12 +10,12 @@ from skyhaul.comms.messages import ORDER, PLAN, Order, PlanMessage, Status
 from skyhaul.control.api import ForcePlan
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.mapping.api import MapChange, WorldMap
-from skyhaul.mission.api import Phase, Recorder, Replan, Trigger
+from skyhaul.mission.api import PULLING, Phase, Recorder, Replan, Trigger
 from skyhaul.mission.forces import ForcePlanning
 from skyhaul.mission.hearing import SILENT_US
 from skyhaul.mission.latency import Pending
 from skyhaul.mission.loss import reference_after_loss, rest_after_loss
-from skyhaul.mission.phases import LeaderView, next_phase, spool_plan
+from skyhaul.mission.phases import LeaderView, lifts_level, next_phase, spool_plan
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.mission.take_off import is_clear, predict
@@ -69,7 +69,7 @@ class Leader:
         self._task_reference: SplineReference | None = None
         self._reaches_goal = False
         self._waits = False  # the reference in force rests on its way
-        self._any_left = self._enough_left = True
+        self._any_left = self._enough_left = self._lifts_level = True
         self._heading: HeadingPlan | None = None
         self._last_replan_us = -US_PER_S
         self._phase_since_us = -1
@@ -94,7 +94,7 @@ class Leader:
             self._enough_left = False
             return
         rest = rest_after_loss(self._stack.team, tuple(bool(a) for a in active))
-        self._enough_left = rest.survivable
+        self._enough_left, self._lifts_level = rest.survivable, lifts_level(self._stack, rest)
         if self.reference is not None and rest.survivable and self._stack.arrays.rigid:
             self._tilt(t_us, self.reference, rest.R_WL)
 
@@ -151,6 +151,7 @@ class Leader:
             reaches_goal=self._reaches_goal,
             lifted_m=float(estimate.team.p_WL[2]) - self._floor_z,
             enough_left=self._enough_left,
+            lifts_level=self._lifts_level,
         )
 
     def _heard(self, t_us: TimeUs, i: int) -> Status | None:
@@ -300,8 +301,8 @@ class Leader:
         spooling = self.phase is Phase.LIFT and (
             t_us - self._phase_since_us < self._stack.mission.spool_s * US_PER_S
         )
-        on_station = self.phase in (Phase.FLY_IN, Phase.TAUTEN)
-        if self.reference is None or spooling or on_station or not self._any_left:
+        pulling = self.phase in PULLING
+        if self.reference is None or spooling or not pulling or not self._any_left:
             return None
         return self.forces.due(t_us, estimate, self._clearance_m)
 

@@ -25,6 +25,7 @@ STATUS_PERIOD_US = 20_000
 """Time between two heartbeats of a vehicle [us]."""
 _DT_S = PLANT_STEP_US / US_PER_S
 _STATION_PHASES = (Phase.FLY_IN.value, Phase.TAUTEN.value)
+_RETREAT_PHASES = (Phase.ABORT.value, Phase.DOWN.value)
 _LIFT = Phase.LIFT.value
 
 
@@ -94,6 +95,8 @@ class VehicleAgent:
         self._route: Route | None = None
         self._creep_m = 0.0
         self._taut_s = 0.0
+        self._hooked = False  # its cable has been at the load
+        self._attach_s = 0.0  # how long it has tried to hook on
         self._thrust_cmd = 0.0
         arrays = stack.arrays
         ends = [station_point(stack.team, np.zeros(3), np.eye(3), index, s) for s in (0.0, 1.0)]
@@ -171,6 +174,8 @@ class VehicleAgent:
             act = self._idle()
         elif order.phase in _STATION_PHASES:
             act = self._to_station(estimate, retreat=order.retreat)
+        elif order.phase in _RETREAT_PHASES:
+            act = self._to_station(estimate, retreat=True)
         elif self.plan is not None:
             plan = self._plan_now(t_us, self.plan)
             act = self._carry(estimate, plan, self._share(t_us, order))
@@ -187,12 +192,16 @@ class VehicleAgent:
         self._watch, weak = self._stack.fault_watch.step(
             self._watch, self._thrust_cmd, float(estimate.thrust[i]), self._rotor, _DT_S
         )
+        attached = bool(estimate.attached[i])
+        self._hooked |= attached or self.plan is not None
         if i in self.faulty:
             return None
         if weak:
             return "its rotors do not give the thrust asked for"
-        if self.plan is not None and not estimate.attached[i]:
+        if self._hooked and not attached:
             return "its cable is off the load"
+        if self._attach_s > self._stack.mission.station.attach_s:
+            return "its hook does not close on the load"
         if self._led_elsewhere(t_us, estimate):
             return "it hears nobody, and the load is led elsewhere"
         return None
@@ -254,6 +263,7 @@ class VehicleAgent:
         if self._arrived():
             target = self._creep(estimate)
             attach = not estimate.attached[self.index]
+            self._attach_s = self._attach_s + _DT_S if attach else 0.0
         return self._fly_free(estimate, target, attach=attach)
 
     def _way_in(self, estimate: TeamEstimate) -> Array:
