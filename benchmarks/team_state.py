@@ -22,11 +22,13 @@ import numpy as np
 from calibration import calibration_s
 from provenance import provenance, write_report
 from result_file import Row
-from team_odometry import OdometryModel, exact, from_file, modelled, truth_of
+from team_odometry import drifting, from_file, modelled, places
 from team_recordings import Recording, record
 
+import skyhaul.mission.odometry as odometry_model
 import skyhaul.perception.team
 from skyhaul.geometry.quaternion import quat_conj, quat_log, quat_mul
+from skyhaul.mission.odometry import ModelledOdometry, without_errors
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.perception.team.api import SurveyedTeam, TagSight, TeamReports, VehicleReport
 from skyhaul.perception.team.fused import FusedEstimator, FusedTeam
@@ -62,11 +64,12 @@ class Case:
 
 def odometry(recording: Recording, case: Case, files: Path | None) -> list[Iterator[VioEstimate]]:
     """Odometry of every vehicle."""
-    n, model = recording.config.team.count, OdometryModel(drifting=case.drifting)
+    n, model = recording.config.team.count, ModelledOdometry()
     if case.vio == "perfect":
-        return [exact(recording, i) for i in range(n)]
-    if case.vio == "model":
-        return [modelled(recording, i, model) for i in range(n)]
+        model = without_errors(model)
+    if case.vio != "estimated":
+        models = [drifting(model) if i == case.drifting else model for i in range(n)]
+        return [modelled(recording, i, models[i]) for i in range(n)]
     if files is None:
         raise SystemExit("--vio estimated needs --odometry, a folder with <flight>_vehicle<i>.npz")
     return [from_file(files / f"{recording.name}_vehicle{i}.npz") for i in range(n)]
@@ -155,7 +158,7 @@ def run(
         errors.cpu_s += time.process_time() - begin
         for i, v in enumerate(reading.vehicles):
             if v is not None and v.vio is not None and v.vio.state is not None:
-                own[i] = v.vio.state.p_WI - truth_of(recording, i)[0][k]
+                own[i] = v.vio.state.p_WI - places(recording, i)[k]
         errors.odometry.append(own.copy())
         _score(recording, k, estimate, errors)
         if watch is not None:
@@ -250,6 +253,7 @@ def digest() -> str:
     """Of the code that makes the figures."""
     package = Path(skyhaul.perception.team.__file__).parent
     files = [*package.glob("*.py"), *Path(__file__).parent.glob("team_*.py")]
+    files.append(Path(odometry_model.__file__))
     return hashlib.sha1(b"".join(f.read_bytes() for f in sorted(files))).hexdigest()
 
 

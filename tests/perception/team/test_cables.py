@@ -120,3 +120,11 @@ def test_an_open_hook_carries_nothing(hanging):
     pulled(p, s, 0, 0.6)
     assert cables.judge_slack(p, s, s.load, 0, True) == pytest.approx(0.6, abs=1e-6)
     assert cables.judge_slack(p, s, s.load, 0, False) == 0.0
+
+
+def test_a_team_that_hangs_at_the_start_knows_its_tensions_before_the_first_sample(flight, exact):
+    made = flight(1, 0.1, exact, size=0.0)
+    estimator = made.estimator()
+    _, estimate = estimator.step(estimator.init(), made.reports[0])
+    assert len(made.reports[0].load_imu.stamp_us) == 0
+    np.testing.assert_allclose(estimate.cables.tension, made.tension[0], rtol=1e-6)

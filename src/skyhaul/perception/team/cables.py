@@ -17,6 +17,7 @@ from skyhaul.geometry.kernels import (
     cross,
     dot,
     mat_t_vec,
+    mat_vec,
     norm,
     quat_exp,
     quat_inv_rotate,
@@ -74,8 +75,16 @@ def cable_line(
 
 
 @njit
+def force_at_rest(p: FilterParams, s: FilterState, i: int) -> None:
+    """Cable force of a vehicle at rest, before its first sample, into `nav_last[6:9]`."""
+    s_B = mat_vec(p.R_BI, quat_inv_rotate(s.nav[i, 3:7], (0.0, 0.0, p.g)))
+    for c in range(3):
+        s.nav_last[i, 6 + c] = p.mass[i] * s_B[c] - (s.nav_last[i, 9] if c == 2 else 0.0)
+
+
+@njit
 def force_now(p: FilterParams, s: FilterState, i: int) -> Vec3Out:
-    """Cable force of vehicle i less nothing for its bias, in its odometry's axes [N]."""
+    """Cable force of vehicle i, its bias included, in its odometry's axes [N]."""
     f = quat_rotate(s.nav[i, 3:7], mat_t_vec(p.R_BI, three(s.nav_last[i], 6)))
     c = p.drag[0]
     return f[0] + c * s.nav[i, 7], f[1] + c * s.nav[i, 8], f[2] + c * s.nav[i, 9]
@@ -120,7 +129,7 @@ def judge_slack(p: FilterParams, s: FilterState, load: Array, i: int, attached: 
     size = max(norm(line), 1e-9)
     pull = dot(unbiased(p, s, i, force_now(p, s, i)), line) / size
     state = s.taut[i]
-    state[1] += 0.3 * (pull - state[1])
+    state[1] += (0.3 if s.head[i] > 0.0 else 1.0) * (pull - state[1])
     near = size < p.length[i] - p.slack_length
     if not attached or near or state[1] < p.slack_force:
         state[0] = 0.0

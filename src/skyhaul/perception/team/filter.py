@@ -10,6 +10,7 @@ from skyhaul.perception.team.cables import (
     correct_at_rest,
     correct_by_balance,
     correct_by_cable,
+    force_at_rest,
     force_now,
     gather,
     rest,
@@ -53,6 +54,8 @@ def tick(
     for i in range(n):
         s.nav_last[i, 9] = 0.5 * (thrust[i] + s.nav_last[i, 11]) if s.head[i] > 0 else thrust[i]
         s.nav_last[i, 10], s.nav_last[i, 11] = 1.0 if attached[i] else 0.0, thrust[i]
+        if s.head[i] == 0.0:
+            force_at_rest(p, s, i)
     for k in range(new.samples.shape[0]):
         row = new.samples[k]
         advance_vehicle(p, s, int(row[0]), row[1], three(row, 2), three(row, 5))

@@ -55,7 +55,7 @@ def read_out(p: FilterParams, s: FilterState, t_us: float, attached: Mask) -> Ou
     for i in range(n):
         out.tension[i] = judge_slack(p, s, x, i, attached[i])
         _vehicle(p, s, i, out)
-        _cable(p, s, x, spin, i, out)
+        _cable(p, s, x, spin, i, attached[i], out)
     _covariance(p, s, x, w, dt, out.covariance)
     return out
 
@@ -89,9 +89,19 @@ def _times_conjugate(a: Array, b: Array, out: Array) -> None:
 
 @njit
 def _cable(
-    p: FilterParams, s: FilterState, x: Array, spin: tuple[float, float, float], i: int, out: Output
+    p: FilterParams,
+    s: FilterState,
+    x: Array,
+    spin: tuple[float, float, float],
+    i: int,
+    attached: bool,
+    out: Output,
 ) -> None:
-    """Direction, rate and length of cable i: xi = line / l, w = xi x d(line) / l."""
+    """Direction, rate and length of cable i: xi = line / l, w = xi x d(line) / l.
+
+    A taut cable is as long as it is, a slack one no longer: the line is known to millimetres, the
+    verdict is surer.
+    """
     line, arm, _ = cable_line(p, x, in_team_frame(s, i, s.nav[i]), i)
     size = max(norm(line), 1e-9)
     v = cross(spin, arm)
@@ -104,7 +114,8 @@ def _cable(
             (x[9] + v[2] - out.v_WB[i, 2]) / size,
         ),
     )
-    out.length[i] = size
+    taut, most = s.taut[i, 0] > 0.0, p.length[i] if attached else np.inf
+    out.length[i] = p.length[i] if taut else min(size, most)
     for c in range(3):
         out.dir_W[i, c], out.w_W[i, c] = xi[c], rate[c]
 
