@@ -12,7 +12,8 @@ from team_recordings import Recording
 from skyhaul.geometry.quaternion import quat_rotate
 from skyhaul.mission.odometry import ModelledOdometry
 from skyhaul.perception.vio.api import NavState, VioEstimate, VioStatus
-from skyhaul.types import Array
+from skyhaul.plant.api import PLANT_STEP_US
+from skyhaul.types import US_PER_S, Array
 
 DRIFT_FACTOR = 5.0
 """How much faster the odometry of a drifting vehicle drifts; its covariance says so."""
@@ -39,12 +40,12 @@ def modelled(recording: Recording, vehicle: int, model: ModelledOdometry) -> Ite
     """What a model makes of the truth."""
     imu, n = recording.config.sensors.imu.calibration(), recording.config.team.count
     memory = model.init(recording.seed, vehicle, n)
-    for k in range(0, len(recording.track)):
-        memory, estimate = model.step(
-            memory, recording.track.truth(k), imu, recording.bias[1 + vehicle]
-        )
-        if estimate is not None:
-            yield estimate
+    steps = US_PER_S // model.rate_hz // PLANT_STEP_US
+    for k in range(steps * vehicle // n, len(recording.track), steps):  # where one is due
+        truth = recording.track.truth(k)
+        memory, estimate = model.step(memory, truth, imu, recording.bias[1 + vehicle])
+        assert estimate is not None
+        yield estimate
 
 
 def from_file(file: Path) -> Iterator[VioEstimate]:

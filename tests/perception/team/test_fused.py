@@ -197,5 +197,5 @@ def test_a_load_that_was_taken_away_is_found_by_the_tag(flight):
 def test_numbers_out_of_range_are_refused():
     with pytest.raises(ValueError, match="sigma_px must be > 0, got 0"):
         FusedTeam(sigma_px=0.0)
-    with pytest.raises(ValueError, match=r"slack_n must be below taut_n = 0.08, got 0.1"):
+    with pytest.raises(ValueError, match=r"slack_n must be below taut_n = 0.05, got 0.1"):
         FusedTeam(slack_n=0.1)

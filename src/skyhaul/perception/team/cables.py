@@ -33,6 +33,7 @@ from skyhaul.types import Array, Mask
 _FLYING_M = 0.05
 """A body this much above the place where it stood touches the floor no more [m]."""
 _CLEARLY_SLACK_M = 0.1
+"""A cable is slack whose hook is nearer than it is long by this [m]."""
 
 
 @njit
@@ -76,18 +77,19 @@ def cable_line(
 
 @njit
 def force_at_rest(p: FilterParams, s: FilterState, i: int) -> None:
-    """Cable force of a vehicle at rest, before its first sample, into `nav_last[6:9]`."""
+    """Specific force of a vehicle at rest, before its first sample, into `nav_last[6:9]`."""
     s_B = mat_vec(p.R_BI, quat_inv_rotate(s.nav[i, 3:7], (0.0, 0.0, p.g)))
     for c in range(3):
-        s.nav_last[i, 6 + c] = p.mass[i] * s_B[c] - (s.nav_last[i, 9] if c == 2 else 0.0)
+        s.nav_last[i, 6 + c] = s_B[c]
 
 
 @njit
 def force_now(p: FilterParams, s: FilterState, i: int) -> Vec3Out:
     """Cable force of vehicle i, its bias included, in its odometry's axes [N]."""
-    f = quat_rotate(s.nav[i, 3:7], mat_t_vec(p.R_BI, three(s.nav_last[i], 6)))
-    c = p.drag[0]
-    return f[0] + c * s.nav[i, 7], f[1] + c * s.nav[i, 8], f[2] + c * s.nav[i, 9]
+    x, last, c = s.nav[i], s.nav_last[i], p.drag[0]
+    R_s = quat_rotate(x[3:7], mat_t_vec(p.R_BI, three(last, 6)))
+    thrust = quat_rotate(x[3:7], mat_t_vec(p.R_BI, (0.0, 0.0, last[9])))
+    return cable_force(p.mass[i], R_s, thrust, (c * x[7], c * x[8], c * x[9]))
 
 
 @njit
@@ -121,8 +123,9 @@ def gather(p: FilterParams, s: FilterState, load: Array, i: int) -> None:
 def judge_slack(p: FilterParams, s: FilterState, load: Array, i: int, attached: bool) -> float:
     """Tension of cable i now [N], 0 while it is slack; moves the filtered one and the verdict.
 
-    Slack below `slack_force`, taut above `taut_force`, unchanged between; slack in any case where
-    the hook is nearer than the cable is long by `slack_length`.
+    Slack below `slack_force`, taut above `taut_force`, unchanged between. Where the hook is nearer
+    than the cable is long by `slack_length`, it takes three times the force, and where it is nearer
+    by 0.1 m no force will do.
     """
     vehicle = in_team_frame(s, i, s.nav[i])
     line, _, _ = cable_line(p, load, vehicle, i)
@@ -130,8 +133,9 @@ def judge_slack(p: FilterParams, s: FilterState, load: Array, i: int, attached: 
     pull = dot(unbiased(p, s, i, force_now(p, s, i)), line) / size
     state = s.taut[i]
     state[1] += (0.3 if s.head[i] > 0.0 else 1.0) * (pull - state[1])
-    near = size < p.length[i] - p.slack_length
-    if not attached or near or state[1] < p.slack_force:
+    near, clear = size < p.length[i] - p.slack_length, size < p.length[i] - _CLEARLY_SLACK_M
+    weak = state[1] < (3.0 * p.taut_force if near else p.slack_force)
+    if not attached or clear or weak:
         state[0] = 0.0
     elif state[1] > p.taut_force:
         state[0] = 1.0

@@ -67,12 +67,12 @@ class FusedTeam(Params):
     """Standard deviation of the load's gyro bias at the start [rad/s]."""
     accel_bias_mps2: float = 0.07
     """Standard deviation of the load's accelerometer bias at the start [m/s^2]."""
-    taut_n: float = 0.08
+    taut_n: float = 0.05
     """A cable that pulls more is taut [N]."""
-    slack_n: float = 0.04
+    slack_n: float = 0.025
     """A cable that pulls less is slack [N]."""
     slack_m: float = 0.03
-    """A cable whose hook is nearer than its length by this is slack [m]."""
+    """A cable whose hook is nearer than its length by this is slack, but for a strong pull [m]."""
     lost_after: int = 12
     """The load is placed anew by the tag when so many sights in a row were refused."""
 

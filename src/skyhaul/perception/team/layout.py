@@ -65,9 +65,9 @@ class FilterState(NamedTuple):
     load_last: Array  # (9,) last rate and force without bias, L axes; angular acceleration
     load_us: Array  # (4,) time of `load`; highest z of rest [m]; still for [s]; samples so far
     nav: Array  # (n, 16) pose and motion of the vehicles' IMUs in their odometry's frames
-    nav_last: (
-        Array  # (n, 12) last rate without bias, angular acceleration, force m s - f e_3, thrust
-    )
+    nav_last: Array
+    """(n, 12) last rate without bias 0:3, angular acceleration 3:6, specific force at the centre of
+    mass 6:9, all B axes; thrust over the last sample 9, hook closed 10, last thrust 11."""
     vio: Array  # (n, 4) p of the last estimate, its time (-1: none yet)
     vio_cov: Array  # (n, 6, 6) of its pose: p, turn; W axes
     offset: Array  # (n, 9) p, turn, force bias
@@ -75,9 +75,7 @@ class FilterState(NamedTuple):
     past: Array  # (n, KEPT, 7) time at the end of the sample, rate, force, I axes; ring
     head: Array  # (n,) samples so far
     window: Array  # (n, 8) sums: force in V axes 0:3, direction 3:6, samples, off the floor
-    balance: (
-        Array  # (n + 1, 4) sums since the load's last sample: force in V axes, samples; of load
-    )
+    balance: Array  # (n, 4) sums since the load's last sample: force in V axes, samples
     sums: Array  # (7,) force and moment left over, W and L axes; samples
     taut: Array  # (n, 3) 1 where taut; filtered tension; height at the start
     tally: Array  # (4,) sights taken, sights refused, refused in a row, other updates refused

@@ -147,7 +147,7 @@ def advance_vehicle(
 ) -> None:
     """Move vehicle i by one sample of its IMU, I axes, and keep the sample.
 
-    Also its cable's force without bias, m s - f e_3 at the centre of mass, into `nav_last[6:9]`.
+    Also the specific force at its centre of mass, B axes, into `nav_last[6:9]`.
     """
     row = s.past[i, int(s.head[i]) % KEPT]
     row[0] = t_us
@@ -168,7 +168,7 @@ def advance_vehicle(
     arm = p.p_BI
     lever, swing = cross(three(last, 3), arm), cross(w_B, cross(w_B, arm))
     for c in range(3):
-        last[6 + c] = p.mass[i] * (s_B[c] - lever[c] - swing[c]) - (last[9] if c == 2 else 0.0)
+        last[6 + c] = s_B[c] - lever[c] - swing[c]
     s.head[i] += 1.0
 
 
