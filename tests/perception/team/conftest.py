@@ -68,7 +68,7 @@ class Synthetic:
     start: SurveyedTeam
 
     def estimator(self, params=None):
-        return (params or FusedTeam()).build(
+        return (params or FusedTeam(tag_scale=1.0)).build(
             self.team,
             self.sensors.calibration(),
             self.sensors.payload_imu.calibration(),

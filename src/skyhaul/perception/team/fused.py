@@ -43,6 +43,9 @@ class FusedTeam(Params):
     kind: Literal["fused"] = "fused"
     sigma_px: float = 0.5
     """Error of a corner of the tag [px]."""
+    tag_scale: float = 0.9935
+    """Size of the tag as the detector finds it, of its true size; from flights of `hover` and
+    `lost-vehicle`, where edges of 38 px are found 0.12 px further in on each side [-]."""
     sigma_length_m: float = 0.004
     """Error of a taut cable's length [m]."""
     sigma_direction_rad: float = 0.015
@@ -140,7 +143,7 @@ def _filter_params(
         camera=down.model.arrays(),
         p_IC=imu.R_BI.T @ (down.p_BC - imu.p_BI),
         R_IC=np.ascontiguousarray(imu.R_BI.T @ down.R_BC),
-        corners_L=tag_corners_L(tag) - load_imu.p_BI,
+        corners_L=tag_corners_L(tag, params.tag_scale) - load_imu.p_BI,
         sigma_px=params.sigma_px,
         sigma_length=params.sigma_length_m,
         sigma_direction=params.sigma_direction_rad,

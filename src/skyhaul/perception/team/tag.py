@@ -21,9 +21,9 @@ _THRESHOLD_PX = 13
 """Window over which the detector thresholds [px]."""
 
 
-def tag_corners_L(tag: TagCalibration) -> Array:
-    """Corners of the tag in load axes, in the detector's order, (4, 3) [m]."""
-    h = 0.5 * tag.edge_m
+def tag_corners_L(tag: TagCalibration, scale: float = 1.0) -> Array:
+    """Corners of a tag of `scale` times its size, L axes, in the detector's order, (4, 3) [m]."""
+    h = 0.5 * scale * tag.edge_m
     flat = np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
     return np.asarray(tag.p_LT + flat @ tag.R_LT.T)
 
