@@ -81,28 +81,29 @@ class EkfVio(Params):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name} must lie between 0 and 1, got {getattr(self, name)}")
 
-    def build(self, rig: CameraRig, sigma: float) -> "EkfEstimator":
+    def build(self, rig: CameraRig, sigma: float | Array) -> "EkfEstimator":
         """The estimator of a rig.
 
         Args:
             rig: The cameras.
-            sigma: Standard deviation of a track in the normalised image, per axis.
+            sigma: Standard deviation of a track in the normalised image, per axis; one, or one
+                for each camera.
         """
-        return EkfEstimator(self, rig, sigma)
+        return EkfEstimator(self, rig, np.broadcast_to(sigma, len(rig.p_IC)))
 
 
 @dataclass(frozen=True, eq=False)
 class ClonedTrack:
     """A track and the clones that saw it."""
 
-    camera: int
-    k: tuple[int, ...]  # keyframes
+    camera: tuple[int, ...]  # of each sight
+    k: tuple[int, ...]  # keyframes, growing; two cameras of one keyframe may see it
     xy: tuple[Array, ...]  # (2,) each
 
     def seen_from(self, k: int) -> "ClonedTrack":
         """The track without what was seen before a keyframe."""
         first = sum(i < k for i in self.k)
-        return replace(self, k=self.k[first:], xy=self.xy[first:])
+        return ClonedTrack(self.camera[first:], self.k[first:], self.xy[first:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +127,7 @@ class EkfEstimator:
 
     params: EkfVio
     rig: CameraRig
-    sigma: float
+    sigma: Array  # (c,) of a track of each camera
 
     def init(self, start: StartPose) -> EkfMemory:
         """See `VioEstimator.init`."""
@@ -154,7 +155,9 @@ class EkfEstimator:
 
     def _begin(self, memory: EkfMemory) -> tuple[EkfMemory, VioEstimate]:
         p, frame = self.params, memory.intake.frames[-1]
-        first = begin(p.beginning, memory.intake, memory.start, self.rig, p.noise, self.sigma)
+        first = begin(
+            p.beginning, memory.intake, memory.start, self.rig, p.noise, float(self.sigma[0])
+        )
         if first is None:
             none = np.zeros((NE, NE))
             return memory, VioEstimate(frame.stamp_us, VioStatus.INITIALIZING, None, none, 0, 0)
@@ -213,11 +216,11 @@ class EkfEstimator:
         for track in tracks:
             if len(track.k) < self.params.least_sights:
                 continue
-            constraint = track_constraint(filter_, self.rig, track, self.params)
+            constraint = track_constraint(filter_, self.rig, track, self.params, self.sigma)
             if constraint is None:
                 continue
             residual, H = constraint
-            S = H @ filter_.covariance @ H.T + self.sigma**2 * np.eye(len(residual))
+            S = H @ filter_.covariance @ H.T + np.eye(len(residual))
             bound = chdtri(len(residual), 1.0 - self.params.gate)  # chi-square quantile
             if residual @ np.linalg.solve(S, residual) > bound:
                 rejected += 1
@@ -225,7 +228,7 @@ class EkfEstimator:
             rows.append(H)
             residuals.append(residual)
         if rows:
-            filter_ = correct(filter_, np.concatenate(residuals), np.vstack(rows), self.sigma)
+            filter_ = correct(filter_, np.concatenate(residuals), np.vstack(rows), 1.0)
         return filter_, len(rows), rejected
 
     def _estimate(self, memory: EkfMemory, state: NavState, covariance: Array) -> VioEstimate:
@@ -243,31 +246,34 @@ def follow(
     for track_id, camera, xy in zip(
         frame.track_id.tolist(), frame.camera.tolist(), frame.xy, strict=True
     ):
-        old = tracks.get(track_id, ClonedTrack(camera, (), ()))
-        going[track_id] = replace(old, k=(*old.k, k), xy=(*old.xy, xy))
+        old = going.get(track_id) or tracks.get(track_id) or ClonedTrack((), (), ())
+        going[track_id] = ClonedTrack((*old.camera, camera), (*old.k, k), (*old.xy, xy))
     return going, [(i, t) for i, t in tracks.items() if i not in going]
 
 
 def track_constraint(
-    filter_: CloneFilter, rig: CameraRig, track: ClonedTrack, params: EkfVio
+    filter_: CloneFilter, rig: CameraRig, track: ClonedTrack, params: EkfVio, sigma: Array
 ) -> tuple[Array, Array] | None:
     """Residual and derivative of a track with its point eliminated; None where it has no point.
 
-    The residual is multiplied by a basis of all directions that moving the point cannot change.
+    The residual, in standard deviations `sigma` of each camera's tracks, (c,), is multiplied by a
+    basis of all directions that moving the point cannot change.
     """
     index = np.array([filter_.clone_k.index(k) for k in track.k])
-    R_IC, p_IC = rig.R_IC[track.camera], rig.p_IC[track.camera]
+    camera, xy = np.array(track.camera), np.array(track.xy)
+    R_IC, p_IC = rig.R_IC[camera], rig.p_IC[camera]
     R_WI, p_WI = filter_.clone_R[index], filter_.clone_p[index]
-    xy = np.array(track.xy)
-    point = locate(R_WI @ R_IC, p_WI + R_WI @ p_IC, xy)
+    point = locate(R_WI @ R_IC, p_WI + np.einsum("kij,kj->ki", R_WI, p_IC), xy)
     if point.parallax_rad < params.parallax_rad:
         return None
     if not params.depth_m[0] < point.depth_m < params.depth_m[1]:
         return None
     seen = _project(R_WI, p_WI, R_IC, p_IC, point.p_WP)
-    residual = (xy - seen[:, :2] / seen[:, 2:]).ravel()
+    each = 1.0 / sigma[camera]
+    residual = ((xy - seen[:, :2] / seen[:, 2:]) * each[:, None]).ravel()
     first_R, first_p = filter_.first_R[index], filter_.first_p[index]
     by_pose, by_point = sight_derivatives(first_R, first_p, R_IC, p_IC, point.p_WP)
+    by_pose, by_point = by_pose * each[:, None, None], by_point * each[:, None, None]
     H = np.zeros((len(residual), len(filter_.covariance)))
     for row, i in enumerate(index):
         H[2 * row : 2 * row + 2, NE + 6 * i : NE + 6 * i + 6] = by_pose[row]
@@ -277,7 +283,8 @@ def track_constraint(
 
 def _project(R_WI: Array, p_WI: Array, R_IC: Array, p_IC: Array, p_WP: Array) -> Array:
     """A point in camera axes, (k, 3)."""
-    seen: Array = (np.einsum("kji,kj->ki", R_WI, p_WP - p_WI) - p_IC) @ R_IC
+    point_I = np.einsum("kji,kj->ki", R_WI, p_WP - p_WI) - p_IC
+    seen: Array = np.einsum("kji,kj->ki", R_IC, point_I)
     return seen
 
 
@@ -289,8 +296,8 @@ def sight_derivatives(
     Args:
         R_WI: Attitudes, (k, 3, 3).
         p_WI: Positions, (k, 3) [m].
-        R_IC: Camera on the body, (3, 3).
-        p_IC: (3,) [m].
+        R_IC: Camera on the body of each sight, (k, 3, 3).
+        p_IC: (k, 3) [m].
         p_WP: The point, (3,) [m].
 
     Returns:
@@ -301,7 +308,7 @@ def sight_derivatives(
     by_c = np.zeros((len(c), 2, 3))
     by_c[:, 0, 0] = by_c[:, 1, 1] = 1.0 / z
     by_c[:, :, 2] = -c[:, :2] / (z * z)[:, None]
-    by_I = by_c @ R_IC.T
+    by_I = by_c @ np.swapaxes(R_IC, 1, 2)
     by_point = by_I @ np.swapaxes(R_WI, 1, 2)
     turned = hat(np.einsum("kji,kj->ki", R_WI, p_WP - p_WI))
     return np.concatenate([-by_point, by_I @ turned], axis=2), by_point

@@ -53,14 +53,15 @@ class SmootherVio(Params):
         if self.least_landmarks < 1:
             raise ValueError(f"least_landmarks must be >= 1, got {self.least_landmarks}")
 
-    def build(self, rig: CameraRig, sigma: float) -> "SmootherEstimator":
+    def build(self, rig: CameraRig, sigma: float | Array) -> "SmootherEstimator":
         """The estimator of a rig.
 
         Args:
             rig: The cameras.
-            sigma: Standard deviation of a track in the normalised image, per axis.
+            sigma: Standard deviation of a track in the normalised image, per axis; one, or one
+                for each camera.
         """
-        return SmootherEstimator(self, rig, sigma)
+        return SmootherEstimator(self, rig, np.broadcast_to(sigma, len(rig.p_IC)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,7 @@ class SmootherEstimator:
 
     params: SmootherVio
     rig: CameraRig
-    sigma: float
+    sigma: Array  # (c,) of a track of each camera
 
     def init(self, start: StartPose) -> SmootherMemory:
         """See `VioEstimator.init`."""
@@ -120,7 +121,7 @@ class SmootherEstimator:
             memory.start,
             self.rig,
             self.params.noise,
-            self.sigma,
+            float(self.sigma[0]),
         )
         if first is None:
             none = VioEstimate(now, VioStatus.INITIALIZING, None, np.zeros((NE, NE)), 0, 0)
