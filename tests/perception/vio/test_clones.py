@@ -12,6 +12,7 @@ from skyhaul.perception.vio.clones import clone, correct, forget_clone, move, st
 from skyhaul.perception.vio.ekf import (
     ClonedTrack,
     EkfVio,
+    _noise_of,
     follow,
     sight_derivatives,
     track_constraint,
@@ -184,3 +185,14 @@ def test_two_cameras_may_see_one_track():
     tracks, _ = follow({}, frame, 3)
     assert (tracks[4].camera, tracks[4].k) == ((0, 1), (3, 3))
     assert len(np.unique(frame.sight_id)) == 2
+
+
+def test_a_slide_of_tracks_is_a_walk_in_each_camera():
+    track = ClonedTrack((0, 1, 0, 1), (3, 3, 7, 7), (np.zeros(2),) * 4)
+    params = EkfVio(keyframe_s=0.1, slide=2.0)
+    covariance = _noise_of(track, np.full(4, 0.5), params)
+    walk = 0.25 * 4.0 * 0.4
+    np.testing.assert_allclose(np.diag(covariance), [0.25, 0.25, 0.25 + walk, 0.25 + walk])
+    assert covariance[2, 3] == covariance[0, 2] == 0.0
+    late = ClonedTrack((0, 0, 0), (0, 4, 8), (np.zeros(2),) * 3)
+    assert _noise_of(late, np.full(3, 0.5), params)[1, 2] == pytest.approx(walk)

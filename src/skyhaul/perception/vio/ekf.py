@@ -58,6 +58,8 @@ class EkfVio(Params):
     """Clones that must have seen a track."""
     parallax_rad: float = 0.02
     """Angle between two of its bearings that a track needs [rad]."""
+    slide: float = 0.0
+    """Random walk of a track off its point, in standard deviations of a sight [1/sqrt(s)]."""
     gate: float = 0.95
     """Share of good tracks that pass the chi-square gate."""
     depth_m: tuple[float, float] = (0.2, 50.0)
@@ -141,7 +143,7 @@ class EkfEstimator:
         if memory.filter is None:
             return self._begin(memory)
         samples = segments(memory.intake.imu, memory.stamp_us, tracks.stamp_us)
-        filter_, noise = memory.filter, self.params.noise.densities()
+        filter_, noise = memory.filter, self.params.noise.over(samples)
         predicted, Phi, Q = advance(filter_.state, samples, noise)
         due_us = memory.stamp_us + round(0.99 * self.params.keyframe_s * US_PER_S)
         if tracks.stamp_us < due_us:
@@ -269,16 +271,30 @@ def track_constraint(
     if not params.depth_m[0] < point.depth_m < params.depth_m[1]:
         return None
     seen = _project(R_WI, p_WI, R_IC, p_IC, point.p_WP)
-    each = 1.0 / sigma[camera]
-    residual = ((xy - seen[:, :2] / seen[:, 2:]) * each[:, None]).ravel()
+    white = np.linalg.inv(np.linalg.cholesky(_noise_of(track, sigma[camera], params)))
+    residual = (white @ (xy - seen[:, :2] / seen[:, 2:])).ravel()
     first_R, first_p = filter_.first_R[index], filter_.first_p[index]
     by_pose, by_point = sight_derivatives(first_R, first_p, R_IC, p_IC, point.p_WP)
-    by_pose, by_point = by_pose * each[:, None, None], by_point * each[:, None, None]
-    H = np.zeros((len(residual), len(filter_.covariance)))
+    by_point = np.einsum("ij,jab->iab", white, by_point)
+    H = np.zeros((len(xy), 2, len(filter_.covariance)))
     for row, i in enumerate(index):
-        H[2 * row : 2 * row + 2, NE + 6 * i : NE + 6 * i + 6] = by_pose[row]
+        H[row, :, NE + 6 * i : NE + 6 * i + 6] = by_pose[row]
+    H = np.einsum("ij,jab->iab", white, H).reshape(len(residual), -1)
     basis = np.linalg.qr(by_point.reshape(-1, 3), mode="complete").Q[:, 3:]
     return basis.T @ residual, basis.T @ H
+
+
+def _noise_of(track: ClonedTrack, sigma: Array, params: EkfVio) -> Array:
+    """Covariance of the sights of a track, per axis of the image, (n, n).
+
+    White noise, and a walk: a patch slides off its point as its look changes. Each camera walks
+    on its own, from its first sight on; what came before is a shift of the point.
+    """
+    t_s = params.keyframe_s * (np.array(track.k) - track.k[0])
+    same = np.equal.outer(track.camera, track.camera)
+    walk = params.slide**2 * np.minimum.outer(t_s, t_s) * same
+    covariance: Array = np.outer(sigma, sigma) * (np.eye(len(sigma)) + walk)
+    return covariance
 
 
 def _project(R_WI: Array, p_WI: Array, R_IC: Array, p_IC: Array, p_WP: Array) -> Array:

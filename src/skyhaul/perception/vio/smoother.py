@@ -35,6 +35,9 @@ class SmootherVio(Params):
     """Time between keyframes [s]."""
     lost_s: float = 1.0
     """Without landmarks for this long the status is LOST [s]."""
+    slide: float = 0.0
+    """Random walk of a track off its point, in standard deviations of a sight [1/sqrt(s)]; sights
+    are taken for independent, with the variance that it has in the middle of the window."""
     least_landmarks: int = 4
     """Landmarks that must agree for a keyframe to count as seen."""
     window: WindowParams = field(default_factory=WindowParams)
@@ -61,7 +64,9 @@ class SmootherVio(Params):
             sigma: Standard deviation of a track in the normalised image, per axis; one, or one
                 for each camera.
         """
-        return SmootherEstimator(self, rig, np.broadcast_to(sigma, len(rig.p_IC)))
+        middle_s = 0.5 * self.keyframe_s * self.window.keyframes
+        white = np.sqrt(1.0 + self.slide**2 * middle_s) * np.broadcast_to(sigma, len(rig.p_IC))
+        return SmootherEstimator(self, rig, white)
 
 
 @dataclass(frozen=True, eq=False)

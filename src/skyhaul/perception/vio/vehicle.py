@@ -54,17 +54,21 @@ class VehicleVio(Params):
     front_end: FrontEnd = field(default_factory=_small_images)
     """How features are followed."""
     smoother: SmootherVio = field(
-        default_factory=lambda: SmootherVio(keyframe_s=0.2, beginning=_calibrated())
+        default_factory=lambda: SmootherVio(keyframe_s=0.2, slide=2.0, beginning=_calibrated())
     )
     """The fixed-lag smoother, without the noise."""
-    ekf: EkfVio = field(default_factory=lambda: EkfVio(beginning=_calibrated()))
+    ekf: EkfVio = field(default_factory=lambda: EkfVio(slide=2.0, beginning=_calibrated()))
     """The filter, without the noise."""
-    sigma_px: float = 0.4
-    """Standard deviation of a track [px]."""
+    sigma_px: float = 0.2
+    """Standard deviation of a track, its slide apart [px]."""
     noise_margin: float = 1.3
-    """Factor on the IMU's white noise, for its scale and misalignment."""
+    """Factor on the IMU's white noise, for what else shakes."""
     accel_walk_margin: float = 1.7
-    """Factor on the random walk of the accelerometer's bias, for the same."""
+    """Factor on the random walk of the accelerometer's bias, for its scale
+    and axes."""
+
+    scale_error: float = 3e-3
+    """What calibration left of the IMU's errors of scale and axes, as a share of what it reads."""
 
     def __post_init__(self) -> None:
         for name in ("sigma_px", "noise_margin", "accel_walk_margin"):
@@ -89,6 +93,7 @@ class VehicleVio(Params):
             accel_mps2_rthz=self.noise_margin * imu.accel_noise,
             gyro_walk_rad_s2_rthz=imu.gyro_walk,
             accel_walk_mps3_rthz=self.accel_walk_margin * imu.accel_walk,
+            scale_error=self.scale_error,
         )
 
 
