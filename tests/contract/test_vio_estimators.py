@@ -10,10 +10,12 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-from simulated_tracks import GYRO_BIAS, Flight, simulate
+from simulated_tracks import GYRO_BIAS, ROOM_M, Flight, simulate
 
 from skyhaul.errors import SensorDataError
 from skyhaul.evaluation.trajectory_error import Trajectory, match, pose_nees, trajectory_error
+from skyhaul.geometry.quaternion import quat_to_R
+from skyhaul.geometry.so3 import rotation_z
 from skyhaul.perception.vio.api import StartPose, TrackFrame, VioStatus
 from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.smoother import SmootherVio
@@ -199,3 +201,20 @@ def test_with_three_of_four_cameras_blind_for_a_second_it_goes_on(kind):
     assert all(e.status is VioStatus.TRACKING for e in known(estimates))
     error = trajectory_error(scored(estimates, FOUR))
     assert error.ate_m < 0.03 * error.path_m + 0.01
+
+
+@every_estimator
+def test_landmarks_lie_on_the_walls(kind):
+    _, memory = follow(kind, PLAIN)
+    recording = flown(PLAIN).recording
+    points = kind.build(recording.rig, recording.sigma).landmarks(memory)
+    assert len(points) > 5
+    # W is the start's: the room is shifted by where the flight began, and turned by its heading.
+    truth = flown(PLAIN).truth
+    R = rotation_z(heading(quat_to_R(truth.q[0])))
+    away = np.abs(np.array(list(points.values())) @ R.T + truth.p[0]) - ROOM_M
+    assert np.median(np.min(np.abs(away), axis=1)) < 0.15
+
+
+def heading(R):
+    return np.arctan2(R[1, 0], R[0, 0])

@@ -142,3 +142,10 @@ class VioEstimator(Protocol[Memory]):
             SensorDataError: When the first second of the IMU is nonsense, or when time goes back.
         """
         ...
+
+    def landmarks(self, memory: Memory) -> dict[int, Array]:
+        """Points of tracks that were seen lately and are known in depth: track -> p_WP, (3,) [m].
+
+        With the images and places in `front_end.Followed` this is what a map of places needs.
+        """
+        ...

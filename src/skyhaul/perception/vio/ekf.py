@@ -36,9 +36,12 @@ from skyhaul.perception.vio.clones import (
 from skyhaul.perception.vio.imu import ImuNoise, advance, segments
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.standing import stands
-from skyhaul.perception.vio.triangulation import locate
+from skyhaul.perception.vio.triangulation import Point, locate
 from skyhaul.sensors.api import ImuReading
-from skyhaul.types import US_PER_S, Array, TimeUs
+from skyhaul.types import US_PER_S, Array, IntArray, TimeUs
+
+FIT = 5.0
+"""RMS error of the sights of a landmark that is handed on, in standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +158,18 @@ class EkfEstimator:
         covariance = memory.filter.covariance[:NE, :NE].copy()
         return memory, self._estimate(memory, memory.filter.state, covariance)
 
+    def landmarks(self, memory: EkfMemory) -> dict[int, Array]:
+        """See `VioEstimator.landmarks`: from the clones and sights that are kept."""
+        p, filter_, out = self.params, memory.filter, {}
+        for track_id, track in memory.tracks.items():
+            if filter_ is None or len(track.k) < p.least_sights:
+                continue
+            _, point = point_of(filter_, self.rig, track)
+            near = p.depth_m[0] < point.depth_m < p.depth_m[1]
+            if near and point.parallax_rad >= p.parallax_rad and point.error <= FIT * self.sigma[0]:
+                out[track_id] = point.p_WP
+        return out
+
     def _begin(self, memory: EkfMemory) -> tuple[EkfMemory, VioEstimate]:
         p, frame = self.params, memory.intake.frames[-1]
         first = begin(
@@ -261,11 +276,9 @@ def track_constraint(
     The residual, in standard deviations `sigma` of each camera's tracks, (c,), is multiplied by a
     basis of all directions that moving the point cannot change.
     """
-    index = np.array([filter_.clone_k.index(k) for k in track.k])
+    poses, point = point_of(filter_, rig, track)
+    R_WI, p_WI, R_IC, p_IC, index = poses
     camera, xy = np.array(track.camera), np.array(track.xy)
-    R_IC, p_IC = rig.R_IC[camera], rig.p_IC[camera]
-    R_WI, p_WI = filter_.clone_R[index], filter_.clone_p[index]
-    point = locate(R_WI @ R_IC, p_WI + np.einsum("kij,kj->ki", R_WI, p_IC), xy)
     if point.parallax_rad < params.parallax_rad:
         return None
     if not params.depth_m[0] < point.depth_m < params.depth_m[1]:
@@ -282,6 +295,19 @@ def track_constraint(
     H = np.einsum("ij,jab->iab", white, H).reshape(len(residual), -1)
     basis = np.linalg.qr(by_point.reshape(-1, 3), mode="complete").Q[:, 3:]
     return basis.T @ residual, basis.T @ H
+
+
+def point_of(
+    filter_: CloneFilter, rig: CameraRig, track: ClonedTrack
+) -> tuple[tuple[Array, Array, Array, Array, IntArray], Point]:
+    """Poses of body and camera at each sight, their rows among the clones; the track's point."""
+    index = np.array([filter_.clone_k.index(k) for k in track.k])
+    camera = np.array(track.camera)
+    R_IC, p_IC = rig.R_IC[camera], rig.p_IC[camera]
+    R_WI, p_WI = filter_.clone_R[index], filter_.clone_p[index]
+    p_WC = p_WI + np.einsum("kij,kj->ki", R_WI, p_IC)
+    point = locate(R_WI @ R_IC, p_WC, np.array(track.xy))
+    return (R_WI, p_WI, R_IC, p_IC, index), point
 
 
 def _noise_of(track: ClonedTrack, sigma: Array, params: EkfVio) -> Array:

@@ -21,7 +21,14 @@ from skyhaul.perception.vio.imu import ImuNoise, advance, segments
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.pose_update import TukeyPose
 from skyhaul.perception.vio.standing import stands
-from skyhaul.perception.vio.window import Setting, Window, WindowParams, add_keyframe, open_window
+from skyhaul.perception.vio.window import (
+    Setting,
+    Window,
+    WindowParams,
+    add_keyframe,
+    landmarks_of,
+    open_window,
+)
 from skyhaul.sensors.api import ImuReading
 from skyhaul.types import US_PER_S, Array, TimeUs
 
@@ -111,6 +118,10 @@ class SmootherEstimator:
         seen = window.used >= self.params.least_landmarks or rests
         memory = replace(memory, window=window, seen_us=now if seen else memory.seen_us)
         return memory, self._estimate(memory, window.state, window.covariance)
+
+    def landmarks(self, memory: SmootherMemory) -> dict[int, Array]:
+        """See `VioEstimator.landmarks`."""
+        return {} if memory.window is None else landmarks_of(memory.window)
 
     def setting(self) -> Setting:
         """What the window needs to know."""

@@ -141,6 +141,15 @@ def open_window(now: TimeUs, first: tuple[NavState, Array], tracks: TrackFrame) 
     )
 
 
+def landmarks_of(window: Window) -> dict[int, Array]:
+    """Where the points of the tracks that have one are, by track, (3,) each [m]."""
+    return {
+        i: np.array(window.values.atPoint3(t.landmark))
+        for i, t in window.tracks.items()
+        if t.landmark != NO_LANDMARK
+    }
+
+
 def _sights(frame: TrackFrame, k: int) -> dict[int, tuple[Sight, ...]]:
     """The sights of each track in a keyframe."""
     out: dict[int, tuple[Sight, ...]] = {}
