@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from skyhaul.errors import SensorDataError
-from skyhaul.perception.vio.api import BA, BG, CameraRig, P, R, StartPose, TrackFrame, V
+from skyhaul.perception.vio.api import BG, CameraRig, P, StartPose, TrackFrame, V
 from skyhaul.perception.vio.beginning import Beginning, begin
 from skyhaul.perception.vio.imu import ImuNoise
 from skyhaul.perception.vio.intake import Intake
@@ -50,8 +50,9 @@ def test_what_comes_after_it_moves_the_state_and_its_covariance():
     state, covariance = first(intake(150_000, lift_us=100_000), start)
     np.testing.assert_allclose(state.v_WI, [0.0, 0.0, 0.1], atol=0.01)
     np.testing.assert_allclose(state.p_WI - before.p_WI, [0, 0, 0.0025], atol=5e-4)
-    for part in (P, R, V, BA):
-        assert np.trace(covariance[part, part]) >= 0.999 * np.trace(P_before[part, part])
+    # A speed that is known to 5 cm/s makes the place less certain within 50 ms.
+    assert np.trace(covariance[P, P]) > 3.0 * np.trace(P_before[P, P])
+    assert np.trace(covariance[V, V]) > np.trace(P_before[V, V])
 
 
 def test_an_imu_whose_samples_are_nonsense_is_refused():

@@ -99,9 +99,11 @@ def test_the_gyroscope_finds_corners_again_that_jumped():
     assert np.median(np.linalg.norm(error, axis=1)) < 0.2
 
 
-def test_corners_keep_their_distance_and_their_number():
+@pytest.mark.parametrize("detector", ["gftt", "fast", "orb", "sift"])
+def test_corners_keep_their_distance_and_their_number(detector):
     still = look(np.zeros(3), R_IC)
-    out = run([still, noisy(still)], [STEADY] * 2, FrontEnd(features=50, spacing_px=20))
+    params = FrontEnd(detector=detector, features=50, spacing_px=20, fast_threshold=10)
+    out = run([still, noisy(still)], [STEADY] * 2, params)
     for tracks in out:
         uv = 230.0 * tracks.xy
         apart = np.linalg.norm(uv[:, None] - uv[None], axis=2) + 1e3 * np.eye(len(uv))
