@@ -10,10 +10,12 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-from simulated_tracks import GYRO_BIAS, Flight, simulate
+from simulated_tracks import GYRO_BIAS, ROOM_M, Flight, simulate
 
 from skyhaul.errors import SensorDataError
 from skyhaul.evaluation.trajectory_error import Trajectory, match, pose_nees, trajectory_error
+from skyhaul.geometry.quaternion import quat_to_R
+from skyhaul.geometry.so3 import rotation_z
 from skyhaul.perception.vio.api import StartPose, TrackFrame, VioStatus
 from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.smoother import SmootherVio
@@ -35,15 +37,20 @@ def blind(frame):
     return TrackFrame(frame.stamp_us, frame.track_id[:0], frame.camera[:0], frame.xy[:0])
 
 
+def first_camera(frame):
+    one = frame.camera == 0
+    return TrackFrame(frame.stamp_us, frame.track_id[one], frame.camera[one], frame.xy[one])
+
+
 @cache
-def follow(kind, flight, dark=(0.0, 0.0), start=None):
-    """Estimates of a flight whose cameras see nothing in an interval [s], and their memories."""
+def follow(kind, flight, dark=(0.0, 0.0), start=None, hide=blind):
+    """Estimates of a flight whose cameras see less in an interval [s], and their memories."""
     recording = flown(flight).recording
     estimator = kind.build(recording.rig, recording.sigma)
     memory, out = estimator.init(start or StartPose()), []
     for imu, frame in recording.readings():
         hidden = dark[0] <= frame.stamp_us / 1e6 < dark[1]
-        memory, estimate = estimator.step(memory, imu, blind(frame) if hidden else frame)
+        memory, estimate = estimator.step(memory, imu, hide(frame) if hidden else frame)
         out.append(estimate)
     return out, memory
 
@@ -186,3 +193,28 @@ def test_what_is_handed_on_cannot_be_written_to(kind):
         estimate.covariance[0, 0] = 1.0
     with pytest.raises(ValueError, match="read-only"):
         estimate.state.p_WI[0] = 1.0
+
+
+@every_estimator
+def test_with_three_of_four_cameras_blind_for_a_second_it_goes_on(kind):
+    estimates, _ = follow(kind, FOUR, (3.0, 4.0), hide=first_camera)
+    assert all(e.status is VioStatus.TRACKING for e in known(estimates))
+    error = trajectory_error(scored(estimates, FOUR))
+    assert error.ate_m < 0.03 * error.path_m + 0.01
+
+
+@every_estimator
+def test_landmarks_lie_on_the_walls(kind):
+    _, memory = follow(kind, PLAIN)
+    recording = flown(PLAIN).recording
+    points = kind.build(recording.rig, recording.sigma).landmarks(memory)
+    assert len(points) > 5
+    # W is the start's: the room is shifted by where the flight began, and turned by its heading.
+    truth = flown(PLAIN).truth
+    R = rotation_z(heading(quat_to_R(truth.q[0])))
+    away = np.abs(np.array(list(points.values())) @ R.T + truth.p[0]) - ROOM_M
+    assert np.median(np.min(np.abs(away), axis=1)) < 0.15
+
+
+def heading(R):
+    return np.arctan2(R[1, 0], R[0, 0])

@@ -107,5 +107,5 @@ def test_a_sight_depends_on_the_pose_as_the_linearisation_says():
     # Eq. (17), PAPER_NOTES 47: h about the state, no homogeneous shortcut.
     rig = rig_of(1)
     point, R, p = np.array([4.0, 0.5, -0.3]), np.eye(3)[None], np.zeros((1, 3))
-    by_pose, by_point = sight_derivatives(R, p, rig.R_IC[0], rig.p_IC[0], point)
+    by_pose, by_point = sight_derivatives(R, p, rig.R_IC, rig.p_IC, point)
     np.testing.assert_allclose(by_pose[:, :, :3], -by_point)

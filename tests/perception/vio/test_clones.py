@@ -12,6 +12,7 @@ from skyhaul.perception.vio.clones import clone, correct, forget_clone, move, st
 from skyhaul.perception.vio.ekf import (
     ClonedTrack,
     EkfVio,
+    _noise_of,
     follow,
     sight_derivatives,
     track_constraint,
@@ -108,7 +109,7 @@ def test_derivatives_of_a_sight_are_those_of_its_differences():
         c = (np.einsum("kji,kj->ki", R, x - p) - rig.p_IC[0]) @ rig.R_IC[0]
         return c[:, :2] / c[:, 2:]
 
-    by_pose, by_point = sight_derivatives(R_WI, p_WI, rig.R_IC[0], rig.p_IC[0], point)
+    by_pose, by_point = sight_derivatives(R_WI, p_WI, rig.R_IC[[0] * 3], rig.p_IC[[0] * 3], point)
     for axis in range(3):
         d = h * np.eye(3)[axis]
         np.testing.assert_allclose(
@@ -142,8 +143,8 @@ def test_a_constraint_does_not_depend_on_the_place_of_its_point():
         f = clone(start_filter(moved, f.covariance) if k == 0 else _at(f, moved), k)
     point = np.array([4.0, 0.5, -0.3])
     c = (np.einsum("kji,kj->ki", f.clone_R, point - f.clone_p) - rig.p_IC[0]) @ rig.R_IC[0]
-    track = ClonedTrack(0, tuple(range(6)), tuple(c[:, :2] / c[:, 2:]))
-    residual, H = track_constraint(f, rig, track, EkfVio())
+    track = ClonedTrack((0,) * 6, tuple(range(6)), tuple(c[:, :2] / c[:, 2:]))
+    residual, H = track_constraint(f, rig, track, EkfVio(), np.ones(1))
     assert residual.shape == (9,)
     np.testing.assert_allclose(residual, 0.0, atol=1e-9)
     # Shifting all poses alike shifts the point alike: nothing changes. Nor does a common turn.
@@ -175,3 +176,23 @@ def test_tracks_go_on_end_and_begin():
     assert [i for i, _ in ended] == [4]
     assert {i: t.k for i, t in tracks.items()} == {7: (1, 2), 9: (2,)}
     assert tracks[7].seen_from(2).k == (2,)
+
+
+def test_two_cameras_may_see_one_track():
+    from skyhaul.perception.vio.api import TrackFrame
+
+    frame = TrackFrame(0, np.array([4, 4]), np.array([0, 1]), np.array([[0.1, 0.0], [0.2, 0.0]]))
+    tracks, _ = follow({}, frame, 3)
+    assert (tracks[4].camera, tracks[4].k) == ((0, 1), (3, 3))
+    assert len(np.unique(frame.sight_id)) == 2
+
+
+def test_a_slide_of_tracks_is_a_walk_in_each_camera():
+    track = ClonedTrack((0, 1, 0, 1), (3, 3, 7, 7), (np.zeros(2),) * 4)
+    params = EkfVio(keyframe_s=0.1, slide=2.0)
+    covariance = _noise_of(track, np.full(4, 0.5), params)
+    walk = 0.25 * 4.0 * 0.4
+    np.testing.assert_allclose(np.diag(covariance), [0.25, 0.25, 0.25 + walk, 0.25 + walk])
+    assert covariance[2, 3] == covariance[0, 2] == 0.0
+    late = ClonedTrack((0, 0, 0), (0, 4, 8), (np.zeros(2),) * 3)
+    assert _noise_of(late, np.full(3, 0.5), params)[1, 2] == pytest.approx(walk)

@@ -14,6 +14,7 @@ from skyhaul.evaluation.trajectory_file import write_tum
 from skyhaul.geometry.camera import RadTan, unproject_pixels
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.geometry.so3 import so3_exp
+from skyhaul.perception.vio.api import CameraRig
 from skyhaul.perception.vio.euroc import read_euroc
 from skyhaul.perception.vio.front_end import FrontEnd
 from skyhaul.sensors.api import CameraFrame
@@ -44,6 +45,13 @@ def look(p_WC, R_WC):
     return cv2.warpPerspective(WALL, K @ R_WC.T @ axes, (320, 240), flags=cv2.INTER_LINEAR)
 
 
+def noisy(image, seed=0):
+    """The same view in another image: a camera never delivers the same bytes twice."""
+    return np.clip(image + np.random.default_rng(seed).normal(0, 1, image.shape), 0, 255).astype(
+        np.uint8
+    )
+
+
 def frame(image, stamp_us=0, camera=0):
     return CameraFrame(stamp_us, camera, image)
 
@@ -65,7 +73,7 @@ def shared(a, b):
 R_IC = rig_of(1).R_IC[0]
 
 
-@pytest.mark.parametrize("detector", ["gftt", "fast"])
+@pytest.mark.parametrize("detector", ["gftt", "fast", "orb", "sift"])
 def test_corners_are_followed_to_a_tenth_of_a_pixel(detector):
     shifts = [np.array([0.0, 0.02 * k, 0.01 * k]) for k in range(6)]
     images = [look(p, R_IC) for p in shifts]
@@ -91,8 +99,11 @@ def test_the_gyroscope_finds_corners_again_that_jumped():
     assert np.median(np.linalg.norm(error, axis=1)) < 0.2
 
 
-def test_corners_keep_their_distance_and_their_number():
-    out = run([look(np.zeros(3), R_IC)] * 2, [STEADY] * 2, FrontEnd(features=50, spacing_px=20))
+@pytest.mark.parametrize("detector", ["gftt", "fast", "orb", "sift"])
+def test_corners_keep_their_distance_and_their_number(detector):
+    still = look(np.zeros(3), R_IC)
+    params = FrontEnd(detector=detector, features=50, spacing_px=20, fast_threshold=10)
+    out = run([still, noisy(still)], [STEADY] * 2, params)
     for tracks in out:
         uv = 230.0 * tracks.xy
         apart = np.linalg.norm(uv[:, None] - uv[None], axis=2) + 1e3 * np.eye(len(uv))
@@ -110,6 +121,43 @@ def test_a_patch_that_moves_on_its_own_is_dropped():
     shift = 230.0 * (b - a)
     assert len(a) > 30
     assert np.mean(np.abs(shift[:, 1]) > 3.0) < 0.05
+
+
+def test_a_camera_that_hangs_delivers_nothing_and_its_corners_are_found_again():
+    images = [look(np.array([0.0, y, 0.0]), R_IC) for y in (0.0, 0.02, 0.02, 0.04)]
+    tracker = FrontEnd().build([LENS], rig_of(1))
+    memory, out = tracker.init(), []
+    for k, image in enumerate(images):
+        memory, tracks = tracker.step(memory, [frame(image, 50_000 * k)], 50_000 * k, STEADY)
+        out.append(tracks)
+    assert len(out[2].track_id) == 0
+    assert len(shared(out[1], out[3])[0]) > 60
+
+
+def stereo():
+    """Two cameras side by side, 0.1 m apart."""
+    one = rig_of(1)
+    return CameraRig(
+        np.concatenate([one.R_IC] * 2), one.p_IC + np.array([[0.0, 0, 0], [0, -0.1, 0]])
+    )
+
+
+def test_cameras_side_by_side_find_each_others_corners():
+    rig = stereo()
+    tracker = FrontEnd().build([LENS, LENS], rig)
+    assert tracker.pairs == ((0, 1),)
+    images = [frame(look(rig.p_IC[c], rig.R_IC[c]), camera=c) for c in range(2)]
+    _, out = tracker.step(tracker.init(), images, 0, STEADY)
+    assert len(np.unique(out.sight_id)) == len(out.sight_id)
+    left, right = (out.camera == c for c in range(2))
+    both, i, j = np.intersect1d(out.track_id[left], out.track_id[right], return_indices=True)
+    assert len(both) > 30
+    error = out.xy[right][j] - out.xy[left][i] - [-0.1 / (4.0 - 0.1), 0.0]
+    assert np.median(230.0 * np.linalg.norm(error, axis=1)) < 0.15
+
+
+def test_cameras_back_to_back_do_not_look_for_each_others_corners():
+    assert FrontEnd().build([LENS] * 3, rig_of(3)).pairs == ()
 
 
 def test_a_black_image_loses_all_tracks_and_the_next_one_begins_anew():

@@ -133,3 +133,19 @@ def test_an_imu_that_stays_behind_the_frames_is_refused():
     intake = Intake(3.0).take(slow, frame(100_000))
     with pytest.raises(SensorDataError, match="samples a second"):
         intake.take(changed(slow, stamp_us=slow.stamp_us + 2_000), frame(2_000_000))
+
+
+def test_an_error_of_scale_counts_with_the_turn_and_with_the_force_beyond_gravity():
+    noise = ImuNoise(scale_error=0.01)
+
+    def over(gyro, accel):
+        return noise.over(np.array([[0.05, *gyro, *accel], [0.05, *gyro, *accel]]))
+
+    g = [0.0, 0.0, 9.80665]
+    np.testing.assert_allclose(over([0, 0, 0], g), noise.densities(), rtol=1e-3)
+    turning, pushed = over([0.0, 2.0, 0.0], g), over([0, 0, 0], [0.0, 0.0, 12.0])
+    assert turning[0] == pytest.approx(0.01 * 2.0 * np.sqrt(2.0), rel=1e-3)
+    assert pushed[1] > 2.0 * noise.densities()[1]
+    # What goes to and fro cancels.
+    fro = np.array([[0.05, 0, 2.0, 0, *g], [0.05, 0, -2.0, 0, *g]])
+    np.testing.assert_allclose(noise.over(fro), noise.densities(), rtol=1e-3)

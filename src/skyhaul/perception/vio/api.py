@@ -25,6 +25,7 @@ Memory = TypeVar("Memory")
 P, R, V, BG, BA = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 15)
 """Layout of an error of a state (15,)."""
 NE = 15
+MOST_CAMERAS = 64
 
 
 class VioStatus(StrEnum):
@@ -60,16 +61,21 @@ class CameraRig:
 class TrackFrame:
     """Feature tracks seen at one time by all cameras: points followed from frame to frame.
 
-    A track belongs to one camera; the same number in the next frame is the same point.
+    The same number in the next frame, or in another camera, is the same point.
     """
 
     stamp_us: TimeUs
-    track_id: IntArray  # (k,) unique over all cameras and all time
+    track_id: IntArray  # (k,) each at most once in a camera
     camera: IntArray  # (k,) index in the rig
     xy: Array  # (k, 2) undistorted, normalised: x / z and y / z in camera axes
 
     def __post_init__(self) -> None:
         frozen(self.track_id, self.camera, self.xy)
+
+    @property
+    def sight_id(self) -> IntArray:
+        """Numbers of track and camera together, (k,): each at most once."""
+        return self.track_id * MOST_CAMERAS + self.camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +100,7 @@ class StartPose:
     yaw_rad: float = 0.0
     sigma_m: float = 1e-3  # how well the start is surveyed
     sigma_yaw_rad: float = 1e-3
+    stands_until_us: TimeUs = 0  # the vehicle is known to stand up to then; 0: not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,5 +140,12 @@ class VioEstimator(Protocol[Memory]):
 
         Raises:
             SensorDataError: When the first second of the IMU is nonsense, or when time goes back.
+        """
+        ...
+
+    def landmarks(self, memory: Memory) -> dict[int, Array]:
+        """Points of tracks that were seen lately and are known in depth: track -> p_WP, (3,) [m].
+
+        With the images and places in `front_end.Followed` this is what a map of places needs.
         """
         ...

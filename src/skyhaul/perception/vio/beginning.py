@@ -3,13 +3,20 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from skyhaul.params import Params
 from skyhaul.perception.vio.api import CameraRig, NavState, StartPose
-from skyhaul.perception.vio.imu import ImuNoise, since
+from skyhaul.perception.vio.imu import ImuNoise, advance, segments, since
+from skyhaul.perception.vio.imu_check import check_imu
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.moving_start import MovingStart, moving_start
+from skyhaul.perception.vio.recording import part
 from skyhaul.perception.vio.standing import Standing, stands, static_start
 from skyhaul.types import US_PER_S, Array
+
+LEAST_SAMPLES = 20
+"""Of the IMU of a vehicle that is known to stand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +45,11 @@ def begin(
     sigma: float,
 ) -> tuple[NavState, Array] | None:
     """State and covariance now, or None while they cannot be known yet."""
+    standing = params.standing
+    if start.stands_until_us > 0:
+        return _known_to_stand(standing, intake, start, noise)
     if not intake.checked:
         return None
-    standing = params.standing
     if stands(standing, intake.frames, intake.imu, standing.init_s):
         begin_us = intake.now_us - round(standing.init_s * US_PER_S)
         return static_start(standing, since(intake.imu, begin_us), start)
@@ -49,6 +58,29 @@ def begin(
     ):
         return None
     return moving_start(params.moving, standing, intake, start, rig, noise, sigma)
+
+
+def _known_to_stand(
+    standing: Standing, intake: Intake, start: StartPose, noise: ImuNoise
+) -> tuple[NavState, Array] | None:
+    """The same for a vehicle on the floor: however short it stands, that is used.
+
+    Raises:
+        SensorDataError: When its samples are nonsense.
+    """
+    until_us = start.stands_until_us
+    if intake.now_us < until_us or len(intake.imu.stamp_us) < LEAST_SAMPLES:
+        return None
+    check_imu(intake.imu)
+    rests = int(np.searchsorted(intake.imu.stamp_us, until_us, side="right"))
+    if rests < LEAST_SAMPLES:
+        return None
+    state, before = static_start(standing, part(intake.imu, 0, rests), start)
+    if intake.now_us == until_us:
+        return state, before
+    moved = segments(intake.imu, until_us, intake.now_us)
+    state, Phi, Q = advance(state, moved, noise.densities())
+    return state, Phi @ before @ Phi.T + Q
 
 
 def _attempt_due(params: Beginning, intake: Intake) -> bool:

@@ -36,9 +36,12 @@ from skyhaul.perception.vio.clones import (
 from skyhaul.perception.vio.imu import ImuNoise, advance, segments
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.standing import stands
-from skyhaul.perception.vio.triangulation import locate
+from skyhaul.perception.vio.triangulation import Point, locate
 from skyhaul.sensors.api import ImuReading
-from skyhaul.types import US_PER_S, Array, TimeUs
+from skyhaul.types import US_PER_S, Array, IntArray, TimeUs
+
+FIT = 5.0
+"""RMS error of the sights of a landmark that is handed on, in standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +61,8 @@ class EkfVio(Params):
     """Clones that must have seen a track."""
     parallax_rad: float = 0.02
     """Angle between two of its bearings that a track needs [rad]."""
+    slide: float = 0.0
+    """Random walk of a track off its point, in standard deviations of a sight [1/sqrt(s)]."""
     gate: float = 0.95
     """Share of good tracks that pass the chi-square gate."""
     depth_m: tuple[float, float] = (0.2, 50.0)
@@ -81,28 +86,29 @@ class EkfVio(Params):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name} must lie between 0 and 1, got {getattr(self, name)}")
 
-    def build(self, rig: CameraRig, sigma: float) -> "EkfEstimator":
+    def build(self, rig: CameraRig, sigma: float | Array) -> "EkfEstimator":
         """The estimator of a rig.
 
         Args:
             rig: The cameras.
-            sigma: Standard deviation of a track in the normalised image, per axis.
+            sigma: Standard deviation of a track in the normalised image, per axis; one, or one
+                for each camera.
         """
-        return EkfEstimator(self, rig, sigma)
+        return EkfEstimator(self, rig, np.broadcast_to(sigma, len(rig.p_IC)))
 
 
 @dataclass(frozen=True, eq=False)
 class ClonedTrack:
     """A track and the clones that saw it."""
 
-    camera: int
-    k: tuple[int, ...]  # keyframes
+    camera: tuple[int, ...]  # of each sight
+    k: tuple[int, ...]  # keyframes, growing; two cameras of one keyframe may see it
     xy: tuple[Array, ...]  # (2,) each
 
     def seen_from(self, k: int) -> "ClonedTrack":
         """The track without what was seen before a keyframe."""
         first = sum(i < k for i in self.k)
-        return replace(self, k=self.k[first:], xy=self.xy[first:])
+        return ClonedTrack(self.camera[first:], self.k[first:], self.xy[first:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +132,7 @@ class EkfEstimator:
 
     params: EkfVio
     rig: CameraRig
-    sigma: float
+    sigma: Array  # (c,) of a track of each camera
 
     def init(self, start: StartPose) -> EkfMemory:
         """See `VioEstimator.init`."""
@@ -140,7 +146,7 @@ class EkfEstimator:
         if memory.filter is None:
             return self._begin(memory)
         samples = segments(memory.intake.imu, memory.stamp_us, tracks.stamp_us)
-        filter_, noise = memory.filter, self.params.noise.densities()
+        filter_, noise = memory.filter, self.params.noise.over(samples)
         predicted, Phi, Q = advance(filter_.state, samples, noise)
         due_us = memory.stamp_us + round(0.99 * self.params.keyframe_s * US_PER_S)
         if tracks.stamp_us < due_us:
@@ -152,9 +158,23 @@ class EkfEstimator:
         covariance = memory.filter.covariance[:NE, :NE].copy()
         return memory, self._estimate(memory, memory.filter.state, covariance)
 
+    def landmarks(self, memory: EkfMemory) -> dict[int, Array]:
+        """See `VioEstimator.landmarks`: from the clones and sights that are kept."""
+        p, filter_, out = self.params, memory.filter, {}
+        for track_id, track in memory.tracks.items():
+            if filter_ is None or len(track.k) < p.least_sights:
+                continue
+            _, point = point_of(filter_, self.rig, track)
+            near = p.depth_m[0] < point.depth_m < p.depth_m[1]
+            if near and point.parallax_rad >= p.parallax_rad and point.error <= FIT * self.sigma[0]:
+                out[track_id] = point.p_WP
+        return out
+
     def _begin(self, memory: EkfMemory) -> tuple[EkfMemory, VioEstimate]:
         p, frame = self.params, memory.intake.frames[-1]
-        first = begin(p.beginning, memory.intake, memory.start, self.rig, p.noise, self.sigma)
+        first = begin(
+            p.beginning, memory.intake, memory.start, self.rig, p.noise, float(self.sigma[0])
+        )
         if first is None:
             none = np.zeros((NE, NE))
             return memory, VioEstimate(frame.stamp_us, VioStatus.INITIALIZING, None, none, 0, 0)
@@ -213,11 +233,11 @@ class EkfEstimator:
         for track in tracks:
             if len(track.k) < self.params.least_sights:
                 continue
-            constraint = track_constraint(filter_, self.rig, track, self.params)
+            constraint = track_constraint(filter_, self.rig, track, self.params, self.sigma)
             if constraint is None:
                 continue
             residual, H = constraint
-            S = H @ filter_.covariance @ H.T + self.sigma**2 * np.eye(len(residual))
+            S = H @ filter_.covariance @ H.T + np.eye(len(residual))
             bound = chdtri(len(residual), 1.0 - self.params.gate)  # chi-square quantile
             if residual @ np.linalg.solve(S, residual) > bound:
                 rejected += 1
@@ -225,7 +245,7 @@ class EkfEstimator:
             rows.append(H)
             residuals.append(residual)
         if rows:
-            filter_ = correct(filter_, np.concatenate(residuals), np.vstack(rows), self.sigma)
+            filter_ = correct(filter_, np.concatenate(residuals), np.vstack(rows), 1.0)
         return filter_, len(rows), rejected
 
     def _estimate(self, memory: EkfMemory, state: NavState, covariance: Array) -> VioEstimate:
@@ -243,41 +263,70 @@ def follow(
     for track_id, camera, xy in zip(
         frame.track_id.tolist(), frame.camera.tolist(), frame.xy, strict=True
     ):
-        old = tracks.get(track_id, ClonedTrack(camera, (), ()))
-        going[track_id] = replace(old, k=(*old.k, k), xy=(*old.xy, xy))
+        old = going.get(track_id) or tracks.get(track_id) or ClonedTrack((), (), ())
+        going[track_id] = ClonedTrack((*old.camera, camera), (*old.k, k), (*old.xy, xy))
     return going, [(i, t) for i, t in tracks.items() if i not in going]
 
 
 def track_constraint(
-    filter_: CloneFilter, rig: CameraRig, track: ClonedTrack, params: EkfVio
+    filter_: CloneFilter, rig: CameraRig, track: ClonedTrack, params: EkfVio, sigma: Array
 ) -> tuple[Array, Array] | None:
     """Residual and derivative of a track with its point eliminated; None where it has no point.
 
-    The residual is multiplied by a basis of all directions that moving the point cannot change.
+    The residual, in standard deviations `sigma` of each camera's tracks, (c,), is multiplied by a
+    basis of all directions that moving the point cannot change.
     """
-    index = np.array([filter_.clone_k.index(k) for k in track.k])
-    R_IC, p_IC = rig.R_IC[track.camera], rig.p_IC[track.camera]
-    R_WI, p_WI = filter_.clone_R[index], filter_.clone_p[index]
-    xy = np.array(track.xy)
-    point = locate(R_WI @ R_IC, p_WI + R_WI @ p_IC, xy)
+    poses, point = point_of(filter_, rig, track)
+    R_WI, p_WI, R_IC, p_IC, index = poses
+    camera, xy = np.array(track.camera), np.array(track.xy)
     if point.parallax_rad < params.parallax_rad:
         return None
     if not params.depth_m[0] < point.depth_m < params.depth_m[1]:
         return None
     seen = _project(R_WI, p_WI, R_IC, p_IC, point.p_WP)
-    residual = (xy - seen[:, :2] / seen[:, 2:]).ravel()
+    white = np.linalg.inv(np.linalg.cholesky(_noise_of(track, sigma[camera], params)))
+    residual = (white @ (xy - seen[:, :2] / seen[:, 2:])).ravel()
     first_R, first_p = filter_.first_R[index], filter_.first_p[index]
     by_pose, by_point = sight_derivatives(first_R, first_p, R_IC, p_IC, point.p_WP)
-    H = np.zeros((len(residual), len(filter_.covariance)))
+    by_point = np.einsum("ij,jab->iab", white, by_point)
+    H = np.zeros((len(xy), 2, len(filter_.covariance)))
     for row, i in enumerate(index):
-        H[2 * row : 2 * row + 2, NE + 6 * i : NE + 6 * i + 6] = by_pose[row]
+        H[row, :, NE + 6 * i : NE + 6 * i + 6] = by_pose[row]
+    H = np.einsum("ij,jab->iab", white, H).reshape(len(residual), -1)
     basis = np.linalg.qr(by_point.reshape(-1, 3), mode="complete").Q[:, 3:]
     return basis.T @ residual, basis.T @ H
 
 
+def point_of(
+    filter_: CloneFilter, rig: CameraRig, track: ClonedTrack
+) -> tuple[tuple[Array, Array, Array, Array, IntArray], Point]:
+    """Poses of body and camera at each sight, their rows among the clones; the track's point."""
+    index = np.array([filter_.clone_k.index(k) for k in track.k])
+    camera = np.array(track.camera)
+    R_IC, p_IC = rig.R_IC[camera], rig.p_IC[camera]
+    R_WI, p_WI = filter_.clone_R[index], filter_.clone_p[index]
+    p_WC = p_WI + np.einsum("kij,kj->ki", R_WI, p_IC)
+    point = locate(R_WI @ R_IC, p_WC, np.array(track.xy))
+    return (R_WI, p_WI, R_IC, p_IC, index), point
+
+
+def _noise_of(track: ClonedTrack, sigma: Array, params: EkfVio) -> Array:
+    """Covariance of the sights of a track, per axis of the image, (n, n).
+
+    White noise, and a walk: a patch slides off its point as its look changes. Each camera walks
+    on its own, from its first sight on; what came before is a shift of the point.
+    """
+    t_s = params.keyframe_s * (np.array(track.k) - track.k[0])
+    same = np.equal.outer(track.camera, track.camera)
+    walk = params.slide**2 * np.minimum.outer(t_s, t_s) * same
+    covariance: Array = np.outer(sigma, sigma) * (np.eye(len(sigma)) + walk)
+    return covariance
+
+
 def _project(R_WI: Array, p_WI: Array, R_IC: Array, p_IC: Array, p_WP: Array) -> Array:
     """A point in camera axes, (k, 3)."""
-    seen: Array = (np.einsum("kji,kj->ki", R_WI, p_WP - p_WI) - p_IC) @ R_IC
+    point_I = np.einsum("kji,kj->ki", R_WI, p_WP - p_WI) - p_IC
+    seen: Array = np.einsum("kji,kj->ki", R_IC, point_I)
     return seen
 
 
@@ -289,8 +338,8 @@ def sight_derivatives(
     Args:
         R_WI: Attitudes, (k, 3, 3).
         p_WI: Positions, (k, 3) [m].
-        R_IC: Camera on the body, (3, 3).
-        p_IC: (3,) [m].
+        R_IC: Camera on the body of each sight, (k, 3, 3).
+        p_IC: (k, 3) [m].
         p_WP: The point, (3,) [m].
 
     Returns:
@@ -301,7 +350,7 @@ def sight_derivatives(
     by_c = np.zeros((len(c), 2, 3))
     by_c[:, 0, 0] = by_c[:, 1, 1] = 1.0 / z
     by_c[:, :, 2] = -c[:, :2] / (z * z)[:, None]
-    by_I = by_c @ R_IC.T
+    by_I = by_c @ np.swapaxes(R_IC, 1, 2)
     by_point = by_I @ np.swapaxes(R_WI, 1, 2)
     turned = hat(np.einsum("kji,kj->ki", R_WI, p_WP - p_WI))
     return np.concatenate([-by_point, by_I @ turned], axis=2), by_point

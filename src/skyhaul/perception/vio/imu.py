@@ -14,6 +14,8 @@ from skyhaul.types import GRAVITY_MPS2, US_PER_S, Array, TimeUs
 
 GRAVITY_W = np.array([0.0, 0.0, -GRAVITY_MPS2])
 GRAVITY_W.setflags(write=False)
+SPELL_S = 2.0
+"""How long a turn or a push of a vehicle lasts, about [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,10 +30,12 @@ class ImuNoise(Params):
     """Random walk of the gyroscope's bias [rad/s^2/sqrt(Hz)]."""
     accel_walk_mps3_rthz: float = 3e-3
     """Random walk of the accelerometer's bias [m/s^3/sqrt(Hz)]."""
+    scale_error: float = 0.0
+    """What calibration left of errors of scale and axes, as a share of rate and force."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not value > 0.0:
+            if not (value > 0.0 or (name == "scale_error" and value == 0.0)):
                 raise ValueError(f"{name} must be > 0, got {value}")
 
     def densities(self) -> Array:
@@ -44,6 +48,22 @@ class ImuNoise(Params):
                 self.accel_walk_mps3_rthz,
             ]
         )
+
+    def over(self, samples: Array) -> Array:
+        """The four for some segments, errors of scale and axes as noise in their place.
+
+        A turn by a is wrong by `scale_error` a. White noise that does the same over `SPELL_S` has
+        a density of scale_error |rate| sqrt(SPELL_S); the rate is that of the whole turn, for
+        what goes to and fro cancels. Of the force only what differs from g counts: the rest is
+        like a bias.
+        """
+        h, span_s = samples[:, 0], max(float(samples[:, 0].sum()), 1e-6)
+        rate = float(np.linalg.norm(h @ samples[:, 1:4])) / span_s
+        force = abs(float(np.linalg.norm(h @ samples[:, 4:7])) / span_s - GRAVITY_MPS2)
+        densities, factor = self.densities(), self.scale_error * np.sqrt(SPELL_S)
+        densities[0] = np.hypot(densities[0], factor * rate)
+        densities[1] = np.hypot(densities[1], factor * force)
+        return densities
 
 
 NO_SAMPLES = ImuReading(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))

@@ -86,8 +86,8 @@ def bearings(xy: Array) -> Array:
     return unit
 
 
-def bearing_sigma(xy: Array, sigma: float) -> Array:
-    """Standard deviation of bearings [rad] whose images have `sigma`: (n, 2) -> (n,).
+def bearing_sigma(xy: Array, sigma: float | Array) -> Array:
+    """Standard deviation of bearings [rad] whose images have `sigma`, one or (n,): (n, 2) -> (n,).
 
     Off the axis the same error in the image is a smaller angle, by 1 + r^2 along the radius and
     its root across; the mean of both in the geometric sense.

@@ -21,7 +21,14 @@ from skyhaul.perception.vio.imu import ImuNoise, advance, segments
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.pose_update import TukeyPose
 from skyhaul.perception.vio.standing import stands
-from skyhaul.perception.vio.window import Setting, Window, WindowParams, add_keyframe, open_window
+from skyhaul.perception.vio.window import (
+    Setting,
+    Window,
+    WindowParams,
+    add_keyframe,
+    landmarks_of,
+    open_window,
+)
 from skyhaul.sensors.api import ImuReading
 from skyhaul.types import US_PER_S, Array, TimeUs
 
@@ -35,6 +42,9 @@ class SmootherVio(Params):
     """Time between keyframes [s]."""
     lost_s: float = 1.0
     """Without landmarks for this long the status is LOST [s]."""
+    slide: float = 0.0
+    """Random walk of a track off its point, in standard deviations of a sight [1/sqrt(s)]; sights
+    are taken for independent, with the variance that it has in the middle of the window."""
     least_landmarks: int = 4
     """Landmarks that must agree for a keyframe to count as seen."""
     window: WindowParams = field(default_factory=WindowParams)
@@ -53,14 +63,17 @@ class SmootherVio(Params):
         if self.least_landmarks < 1:
             raise ValueError(f"least_landmarks must be >= 1, got {self.least_landmarks}")
 
-    def build(self, rig: CameraRig, sigma: float) -> "SmootherEstimator":
+    def build(self, rig: CameraRig, sigma: float | Array) -> "SmootherEstimator":
         """The estimator of a rig.
 
         Args:
             rig: The cameras.
-            sigma: Standard deviation of a track in the normalised image, per axis.
+            sigma: Standard deviation of a track in the normalised image, per axis; one, or one
+                for each camera.
         """
-        return SmootherEstimator(self, rig, sigma)
+        middle_s = 0.5 * self.keyframe_s * self.window.keyframes
+        white = np.sqrt(1.0 + self.slide**2 * middle_s) * np.broadcast_to(sigma, len(rig.p_IC))
+        return SmootherEstimator(self, rig, white)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +92,7 @@ class SmootherEstimator:
 
     params: SmootherVio
     rig: CameraRig
-    sigma: float
+    sigma: Array  # (c,) of a track of each camera
 
     def init(self, start: StartPose) -> SmootherMemory:
         """See `VioEstimator.init`."""
@@ -106,6 +119,10 @@ class SmootherEstimator:
         memory = replace(memory, window=window, seen_us=now if seen else memory.seen_us)
         return memory, self._estimate(memory, window.state, window.covariance)
 
+    def landmarks(self, memory: SmootherMemory) -> dict[int, Array]:
+        """See `VioEstimator.landmarks`."""
+        return {} if memory.window is None else landmarks_of(memory.window)
+
     def setting(self) -> Setting:
         """What the window needs to know."""
         p = self.params
@@ -120,7 +137,7 @@ class SmootherEstimator:
             memory.start,
             self.rig,
             self.params.noise,
-            self.sigma,
+            float(self.sigma[0]),
         )
         if first is None:
             none = VioEstimate(now, VioStatus.INITIALIZING, None, np.zeros((NE, NE)), 0, 0)

@@ -81,9 +81,9 @@ def stands(
 
 def flow(early: Sequence[TrackFrame], late: Sequence[TrackFrame]) -> Array:
     """Motion of each track that all frames share, from the mean of some to that of others, (k,)."""
-    shared = early[0].track_id if early else np.zeros(0, dtype=np.int64)
+    shared = early[0].sight_id if early else np.zeros(0, dtype=np.int64)
     for frame in [*early, *late]:
-        shared = np.intersect1d(shared, frame.track_id, assume_unique=True)
+        shared = np.intersect1d(shared, frame.sight_id, assume_unique=True)
     if not late or not len(shared):
         return np.zeros(0)
     shift = _mean_of(early, shared) - _mean_of(late, shared)
@@ -95,8 +95,8 @@ def _mean_of(frames: Sequence[TrackFrame], tracks: IntArray) -> Array:
     """Where tracks were on average, (k, 2); `tracks` in growing order."""
     total = np.zeros((len(tracks), 2))
     for frame in frames:
-        order = np.argsort(frame.track_id)
-        total += frame.xy[order[np.searchsorted(frame.track_id, tracks, sorter=order)]]
+        order = np.argsort(frame.sight_id)
+        total += frame.xy[order[np.searchsorted(frame.sight_id, tracks, sorter=order)]]
     return total / len(frames)
 
 

@@ -80,7 +80,7 @@ class Setting:
     """What the window needs to know of the vehicle and of the estimator."""
 
     rig: CameraRig
-    sigma: float  # standard deviation of a track in the normalised image
+    sigma: Array  # (c,) standard deviation of a track of each camera in the normalised image
     noise: ImuNoise
     pose: TukeyPose
     params: WindowParams
@@ -88,9 +88,10 @@ class Setting:
 
 
 class Sight(NamedTuple):
-    """A track in a keyframe."""
+    """A track in a camera of a keyframe."""
 
     k: int
+    camera: int
     xy: Array  # (2,)
 
 
@@ -98,7 +99,6 @@ class Sight(NamedTuple):
 class Track:
     """A track that the last keyframe saw."""
 
-    camera: int
     sights: tuple[Sight, ...]  # in keyframes of the window
     landmark: int = NO_LANDMARK  # key of its point
     misses: int = 0
@@ -136,12 +136,26 @@ def open_window(now: TimeUs, first: tuple[NavState, Array], tracks: TrackFrame) 
         covariance=covariance,
         values=values,
         factors=(state_prior(0, state, covariance),),
-        tracks={
-            int(i): Track(int(c), (Sight(0, xy),))
-            for i, c, xy in zip(tracks.track_id, tracks.camera, tracks.xy, strict=True)
-        },
+        tracks={i: Track(sights) for i, sights in _sights(tracks, 0).items()},
         landmarks={},
     )
+
+
+def landmarks_of(window: Window) -> dict[int, Array]:
+    """Where the points of the tracks that have one are, by track, (3,) each [m]."""
+    return {
+        i: np.array(window.values.atPoint3(t.landmark))
+        for i, t in window.tracks.items()
+        if t.landmark != NO_LANDMARK
+    }
+
+
+def _sights(frame: TrackFrame, k: int) -> dict[int, tuple[Sight, ...]]:
+    """The sights of each track in a keyframe."""
+    out: dict[int, tuple[Sight, ...]] = {}
+    for i, c, xy in zip(frame.track_id.tolist(), frame.camera.tolist(), frame.xy, strict=True):
+        out[i] = (*out.get(i, ()), Sight(k, c, xy))
+    return out
 
 
 def add_keyframe(
@@ -183,7 +197,7 @@ def _agreeing(
         points,
         bearings(frame.xy[known]),
         frame.camera[known],
-        bearing_sigma(frame.xy[known], setting.sigma),
+        bearing_sigma(frame.xy[known], setting.sigma[frame.camera[known]]),
     )
     guess = (predicted.p_WI, quat_to_R(predicted.q_WI))
     prior = np.asarray(np.linalg.inv(covariance[:6, :6]), dtype=np.float64)
@@ -209,23 +223,27 @@ def _grow(
 def _see(setting: Setting, window: Window, frame: TrackFrame, agrees: Mask, known: Mask) -> Window:
     """Take the sights of the new keyframe in."""
     params, k = setting.params, window.newest
-    noise = sight_noise(params.robust, setting.sigma)
+    noise = [sight_noise(params.robust, sigma) for sigma in setting.sigma.tolist()]
     T_IC = camera_poses(setting.rig)
     factors, tracks, landmarks = list(window.factors), {}, dict(window.landmarks)
-    for row, track_id in enumerate(frame.track_id.tolist()):
-        camera, sight = int(frame.camera[row]), Sight(k, frame.xy[row])
-        track = window.tracks.get(track_id)
+    every, good = _sights(frame, k), _sights(_rows(frame, agrees), k)
+    points = dict(zip(frame.track_id.tolist(), known.tolist(), strict=True))
+    for track_id, seen in every.items():
+        track, fits = window.tracks.get(track_id), good.get(track_id, ())
         if track is None:
-            tracks[track_id] = Track(camera, (sight,))
-        elif agrees[row]:
-            tracks[track_id] = replace(track, sights=(*track.sights, sight), misses=0)
-            if known[row]:
+            tracks[track_id] = Track(seen)
+        elif fits:
+            tracks[track_id] = replace(track, sights=(*track.sights, *fits), misses=0)
+            if points[track_id]:
                 landmarks[track.landmark] = k
-                factors.append(sight_factor(sight.xy, noise, k, track.landmark, T_IC[camera]))
+                factors += [
+                    sight_factor(s.xy, noise[s.camera], k, track.landmark, T_IC[s.camera])
+                    for s in fits
+                ]
         elif track.misses + 1 < params.misses:
             tracks[track_id] = replace(track, misses=track.misses + 1)
         else:
-            tracks[track_id] = Track(camera, (sight,))
+            tracks[track_id] = Track(seen)
     used = int(np.count_nonzero(agrees & known))
     rejected = int(np.count_nonzero(~agrees))
     return replace(
@@ -238,10 +256,16 @@ def _see(setting: Setting, window: Window, frame: TrackFrame, agrees: Mask, know
     )
 
 
+def _rows(frame: TrackFrame, mask: Mask) -> TrackFrame:
+    """Some of its tracks."""
+    return TrackFrame(frame.stamp_us, frame.track_id[mask], frame.camera[mask], frame.xy[mask])
+
+
 def _add_landmarks(setting: Setting, window: Window) -> Window:
     """Tracks seen from far enough apart become landmarks, the longest first."""
     params, rig = setting.params, setting.rig
-    noise, T_IC = sight_noise(params.robust, setting.sigma), camera_poses(rig)
+    noise = [sight_noise(params.robust, sigma) for sigma in setting.sigma.tolist()]
+    T_IC = camera_poses(rig)
     values, factors = gtsam.Values(window.values), list(window.factors)
     tracks, landmarks = dict(window.tracks), dict(window.landmarks)
     states = {k: values.atPose3(X(k)) for k in range(window.oldest, window.newest + 1)}
@@ -258,7 +282,9 @@ def _add_landmarks(setting: Setting, window: Window) -> Window:
         following += 1
         values.insert(key, p_WP)
         factors.append(point_prior(key, p_WP))
-        factors += [sight_factor(s.xy, noise, s.k, key, T_IC[track.camera]) for s in track.sights]
+        factors += [
+            sight_factor(s.xy, noise[s.camera], s.k, key, T_IC[s.camera]) for s in track.sights
+        ]
         tracks[track_id] = replace(track, landmark=key)
         landmarks[key] = window.newest
     return replace(
@@ -280,11 +306,13 @@ def _point_of(
         return None
     R_WI = np.array([poses[s.k][0] for s in track.sights])
     p_WI = np.array([poses[s.k][1] for s in track.sights])
-    R_WC, p_WC = R_WI @ rig.R_IC[track.camera], p_WI + R_WI @ rig.p_IC[track.camera]
+    camera = np.array([s.camera for s in track.sights])
+    R_WC = R_WI @ rig.R_IC[camera]
+    p_WC = p_WI + np.einsum("kij,kj->ki", R_WI, rig.p_IC[camera])
     point = locate(R_WC, p_WC, np.array([s.xy for s in track.sights]))
     held = point.parallax_rad >= params.parallax_rad
     near = params.depth_m[0] < point.depth_m < params.depth_m[1]
-    fits = point.error <= params.fit * np.sqrt(2.0) * setting.sigma
+    fits = point.error <= params.fit * np.sqrt(2.0) * float(np.mean(setting.sigma[camera]))
     return point.p_WP if held and near and fits else None
 
 

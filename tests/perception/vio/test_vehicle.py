@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings of a vehicle to its state: when estimates come, and which cameras they stand on."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from skyhaul.geometry.quaternion import quat_rotate
+from skyhaul.geometry.so3 import so3_exp
+from skyhaul.perception.vio.api import StartPose, VioStatus
+from skyhaul.perception.vio.front_end import FrontEnd
+from skyhaul.perception.vio.vehicle import VehicleVio, rig_of
+from skyhaul.sensors.api import CameraFrame, ImuReading, VehicleReading
+from skyhaul.sensors.config import SensorsConfig
+
+CALIBRATION = SensorsConfig().calibration()
+NONE = ImuReading(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+
+
+def test_cameras_sit_where_they_are_on_the_body():
+    rng = np.random.default_rng(0)
+    imu = replace(CALIBRATION.imu, R_BI=so3_exp(rng.normal(size=3)), p_BI=rng.normal(size=3))
+    calibration, rig = replace(CALIBRATION, imu=imu), rig_of(replace(CALIBRATION, imu=imu))
+    for c, camera in enumerate(calibration.rig.cameras):
+        np.testing.assert_allclose(imu.R_BI @ rig.R_IC[c], camera.R_BC, atol=1e-12)
+        np.testing.assert_allclose(imu.p_BI + imu.R_BI @ rig.p_IC[c], camera.p_BC, atol=1e-12)
+
+
+def readings(count):
+    """A vehicle that stands: an IMU at 500 Hz, images of noise every 100 ms."""
+    rng = np.random.default_rng(1)
+    views = [
+        cv2.GaussianBlur(rng.integers(0, 255, (240, 320), dtype=np.uint8), (0, 0), 2.0)
+        for _ in CALIBRATION.rig.cameras
+    ]
+    views = [cv2.normalize(v, None, 0, 250, cv2.NORM_MINMAX) for v in views]
+    for k in range(count):
+        t_us = 2_000 * (k + 1)
+        gyro = 1e-3 + 5e-3 * rng.normal(size=(1, 3))
+        accel = np.array([[0.0, 0.0, 9.80665]]) + 0.04 * rng.normal(size=(1, 3))
+        frames = ()
+        if t_us % 100_000 == 0:
+            noise = rng.integers(0, 3, (240, 320), dtype=np.uint8)
+            frames = tuple(CameraFrame(t_us, c, v + noise) for c, v in enumerate(views))
+        yield VehicleReading(
+            t_us, 0, ImuReading(np.array([t_us - 1_000]), gyro, accel), frames, None, None
+        )
+
+
+@pytest.fixture(scope="module", params=["ekf", "smoother"])
+def stood(request):
+    """Readings and estimates of a vehicle that stands for 1.5 s."""
+    start = StartPose(np.array([1.0, 2.0, 0.0]), 0.3, stands_until_us=100_000)
+    odometry = VehicleVio(kind=request.param).build(CALIBRATION)
+    memory, out = odometry.init(start), []
+    for reading in readings(760):
+        memory, estimate = odometry.step(memory, reading)
+        out.append((reading.stamp_us, estimate))
+    return out
+
+
+def test_an_estimate_comes_with_the_first_sample_that_is_not_older_than_the_images(stood):
+    came = [(t, e.stamp_us) for t, e in stood if e is not None]
+    assert [stamp for _, stamp in came] == [100_000 * k for k in range(1, 16)]
+    assert all(t == stamp + 2_000 for t, stamp in came)
+
+
+def test_a_vehicle_that_stands_stays_where_it_is(stood):
+    last = [e for _, e in stood if e is not None][-1]
+    assert last.status is VioStatus.TRACKING
+    np.testing.assert_allclose(last.state.p_WI, [1.0, 2.0, 0.0], atol=0.01)
+    up = quat_rotate(last.state.q_WI, np.array([0.0, 0.0, 1.0]))
+    assert up[2] > np.cos(np.radians(0.6))
+    assert np.linalg.norm(last.state.v_WI) < 0.02
+
+
+def test_without_an_imu_images_do_not_wait_for_ever():
+    odometry = VehicleVio().build(CALIBRATION)
+    memory, out = odometry.init(StartPose()), []
+    for reading in readings(80):
+        memory, estimate = odometry.step(memory, replace(reading, imu=NONE))
+        out.append(estimate)
+    known = [e for e in out if e is not None]
+    assert [e.status for e in known] == [VioStatus.INITIALIZING]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("sigma_px", 0.0), ("noise_margin", -1.0), ("accel_walk_margin", 0.0)]
+)
+def test_nonsense_is_refused(key, value):
+    with pytest.raises(ValueError, match=f"{key} must be > 0"):
+        VehicleVio(**{key: value})
+
+
+def test_the_default_front_end_fits_small_images():
+    assert VehicleVio().front_end.window_px < FrontEnd().window_px
