@@ -56,7 +56,7 @@ def makeshift_plan(stack: Stack, message: PlanMessage, t_us: TimeUs, active: Mas
     return replace(message, plan=plan, reference=reference)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def rest_after_loss(team: Team, active: tuple[bool, ...]) -> Equilibrium:
     """`equilibrium_after_loss`, searched once."""
     return equilibrium_after_loss(team, np.array(active))
