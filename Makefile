@@ -9,7 +9,8 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 NO_BENCHMARK := $(addprefix benchmarks/,readme_table.py fly.py result_file.py provenance.py timing.py calibration.py \
-	load_loop.py image_report.py recorded_truth.py sensor_pictures.py simulated_tracks.py)
+	load_loop.py image_report.py recorded_truth.py sensor_pictures.py simulated_tracks.py team_recordings.py team_odometry.py \
+	picture_of_team.py)
 BENCHMARKS := $(filter-out $(NO_BENCHMARK),$(sort $(wildcard benchmarks/*.py)))
 
 .PHONY: help setup run test test-all check format bench lock clean

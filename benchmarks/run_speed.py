@@ -3,8 +3,9 @@
 
 The command runs in a process of its own, bound to one core, one thread, compiled code cached by a
 run before. Speed of the flight: simulated seconds per CPU second of its loop, recording included
-(what the wall clock shows on a core of one's own). The whole command adds imports, table and
-report. Wall times hold for the load that the machine had meanwhile.
+(what the wall clock shows on a core of one's own). The whole command adds imports, the rehearsal
+that loads the kernels, table and report. Wall times hold for the load that the machine had
+meanwhile; so do CPU times in part, since processes beside this one empty the caches.
 """
 
 import argparse

@@ -51,9 +51,9 @@ def test_a_text_is_counted_in_bytes_not_in_letters():
 
 
 def test_a_heartbeat_is_numbers_two_vectors_flags_and_what_its_vehicle_has_heard():
-    faulty = np.zeros(4, dtype=bool)
-    status = Status(0, 1, np.zeros(3), np.zeros(3), 0.6, True, True, False, 2.5, 0.5, faulty, 0, -1)
-    assert encoded_bytes(status) == 2 * 8 + 2 * 28 + 3 * 8 + 3 + (4 + 4) + 2 * 8
+    place, flags = np.zeros(3), np.zeros(4, dtype=bool)
+    status = Status(0, 1, place, place, 0.6, True, True, False, 2.5, 0.5, flags, flags, 0, -1)
+    assert encoded_bytes(status) == 2 * 8 + 2 * 28 + 3 * 8 + 3 + 2 * (4 + 4) + 2 * 8
 
 
 def test_faults_and_orders_are_the_sum_of_their_parts():

@@ -1,31 +1,80 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every estimator of the team's state must do. A new one adds one entry to ESTIMATORS."""
 
+from functools import cache
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from skyhaul.model import Team, cable_state, hover_state, team_state
+from skyhaul.perception.team.api import SurveyedTeam, TeamReports, VehicleReport
+from skyhaul.perception.team.fused import FusedTeam
 from skyhaul.perception.team.truth import TruthTeam
-from skyhaul.sensors.api import TeamReading
+from skyhaul.perception.vio.api import NavState, VioEstimate, VioStatus
+from skyhaul.sensors.api import ImuReading, TeamReading
+from skyhaul.sensors.config import SensorsConfig
+from skyhaul.types import GRAVITY_MPS2
 
-ESTIMATORS = [TruthTeam()]
+RISE_MPS = 0.1
+UP = np.array([[0.0, 0.0, GRAVITY_MPS2]])
+
+
+def state_of(k, n):
+    team = Team(count=n)
+    state = hover_state(team, np.array([1.0, 2.0, 3.0 + 2e-3 * RISE_MPS * k]))
+    return team, team_state(team, state)
+
+
+def attached_of(k, n):
+    return np.arange(n) != (1 if k >= 5 else -1)
+
+
+def truth_reading(k, n=4):
+    """Reading k of a team that rises, cable 1 released from reading 5 on."""
+    (team, state), attached = state_of(k, n), attached_of(k, n)
+    cables = cable_state(team, state, 0.6 * attached)
+    return TeamReading(2_000 * k, state, cables, attached, np.full(n, 3.0))
+
+
+def sensed_reading(k, n=4):
+    """The same of real sensors: samples of IMUs, odometry in the first tick."""
+    (_, state), attached, reports = state_of(k, n), attached_of(k, n), []
+    imu = ImuReading(np.array([2_000 * k - 1_000]), np.zeros((1, 3)), UP.copy())
+    arm = SensorsConfig().imu.calibration().p_BI
+    for i in range(n):
+        pose = NavState(
+            state.p_WB[i] + arm, state.q_WB[i], np.array([0.0, 0.0, RISE_MPS]),
+            np.zeros(3), np.zeros(3),
+        )  # fmt: skip
+        odometry = VioEstimate(0, VioStatus.TRACKING, pose, 1e-6 * np.eye(15), 20, 0)
+        first = odometry if k == 0 else None
+        reports.append(VehicleReport(imu, first, None, 3.0, bool(attached[i])))
+    return TeamReports(2_000 * k, tuple(reports), imu)
+
+
+@cache
+def fused(n):
+    team, state = state_of(0, n)
+    sensors = SensorsConfig()
+    start = SurveyedTeam(state.p_WL, state.q_WL, state.p_WB, state.q_WB)
+    imu = sensors.payload_imu.calibration()
+    return FusedTeam().build(team, sensors.calibration(), imu, sensors.tag(team), start)
+
+
+ESTIMATORS = [
+    SimpleNamespace(kind="truth", of=lambda n: TruthTeam(), reading=truth_reading),
+    SimpleNamespace(kind="fused", of=fused, reading=sensed_reading),
+]
 
 every_estimator = pytest.mark.parametrize("estimator", ESTIMATORS, ids=lambda e: e.kind)
 
 
-def reading(k, n=4):
-    """Reading k of a team that rises at 0.1 m/s, cable 1 released from reading 5 on."""
-    team, t_us = Team(count=n), 2_000 * k
-    state = team_state(team, hover_state(team, np.array([1.0, 2.0, 3.0 + 1e-7 * t_us])))
-    attached = np.arange(n) != (1 if k >= 5 else -1)
-    cables = cable_state(team, state, 0.6 * attached)
-    return TeamReading(t_us, state, cables, attached, np.full(n, 3.0))
-
-
 def follow(estimator, n=4, steps=10):
-    memory, out = estimator.init(), []
+    kind = estimator.of(n)
+    memory, out = kind.init(), []
     for k in range(steps):
-        memory, estimate = estimator.step(memory, reading(k, n))
+        memory, estimate = kind.step(memory, estimator.reading(k, n))
         out.append(estimate)
     return out
 
@@ -65,10 +114,11 @@ def test_a_released_cable_is_reported(estimator):
 
 @every_estimator
 def test_steps_are_pure(estimator):
-    memory = estimator.init()
+    kind = estimator.of(4)
+    memory = kind.init()
     for k in range(4):
-        memory, _ = estimator.step(memory, reading(k))
-    a, b = (estimator.step(memory, reading(4))[1] for _ in range(2))
+        memory, _ = kind.step(memory, estimator.reading(k))
+    a, b = (kind.step(memory, estimator.reading(4))[1] for _ in range(2))
     np.testing.assert_array_equal(a.team.load, b.team.load)
     np.testing.assert_array_equal(a.load_covariance, b.load_covariance)
 

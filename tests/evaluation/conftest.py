@@ -41,6 +41,7 @@ class Faults:
     slack_at_us: int | None = None
     touch_at_us: int | None = None
     dead_from_us: int | None = None
+    let_go_from_us: int | None = None
     success: bool = True
     kill_at_us: int | None = None
 
@@ -109,6 +110,7 @@ def tick_at(s: Scenario, t_us: int, faults: Faults) -> Tick:
     n, team = s.team.count, s.team
     airborne = t_us >= CARRY_US
     p_WL = arc(t_us) + SHIFT
+    p_WL[2] = p_WL[2] if airborne else 0.5 * team.payload.size_m[2]
     moving = CARRY_US <= t_us < HOVER_US
     v_WL = (arc(t_us + 1) - arc(t_us)) * 1e6 if moving else np.zeros(3)
     p_LB, cable_dir, flat = formation(n)
@@ -119,6 +121,8 @@ def tick_at(s: Scenario, t_us: int, faults: Faults) -> Tick:
     dead = faults.dead_from_us is not None and t_us >= faults.dead_from_us
     alive = np.ones(n, dtype=bool)
     alive[0] = not dead
+    attached = alive.copy()
+    attached[0] &= faults.let_go_from_us is None or t_us < faults.let_go_from_us
     tension[0] = 0.0 if dead else TENSION_N
     state = TeamState(p_WL, q[0].copy(), v_WL, np.zeros(3), p_WB, q, np.tile(v_WL, (n, 1)),
                       np.zeros((n, 3)))  # fmt: skip
@@ -127,7 +131,7 @@ def tick_at(s: Scenario, t_us: int, faults: Faults) -> Tick:
     velocity = np.zeros((3, 3))
     velocity[1] = (0.3, 0.0, 0.1)
     truth = Truth(
-        t_us, state, cables, alive.copy(), alive, np.full((n, 4), THRUST_N / 4),
+        t_us, state, cables, attached, alive, np.full((n, 4), THRUST_N / 4),
         np.zeros((1 + n, 3)),
         solids._replace(p_WO=solids.p_WO + velocity * t_us * 1e-6),
         velocity, np.ones(3, dtype=bool), np.zeros(3),

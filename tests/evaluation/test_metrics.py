@@ -100,6 +100,26 @@ def test_a_lost_vehicle_may_fall(fly_into: Flight, tmp_path: Path) -> None:
     assert metrics["mission_success"] is True
 
 
+@pytest.mark.parametrize("other", ["vehicle 1", "payload", "cable 2", "ball"])
+@pytest.mark.parametrize("lost", ["vehicle 0", "cable 0"])
+def test_a_lost_vehicle_may_not_fall_on_anybody(
+    fly_into: Flight, tmp_path: Path, lost: str, other: str
+) -> None:
+    contacts = (Contact(4_000_000, other, lost),)
+    metrics = evaluate(fly_into(tmp_path / "r", contacts=contacts, dead_from_us=3_000_000))
+    assert (metrics["collisions"], metrics["collisions_lost_vehicle"]) == (1, 0)
+    assert metrics["outcome"] == f"{other} touched {lost} at 4.00 s"
+
+
+def test_a_vehicle_that_was_let_go_and_still_flies_may_not_fall(
+    fly_into: Flight, tmp_path: Path
+) -> None:
+    contacts = (Contact(4_000_000, "vehicle 0", "room"),)
+    metrics = evaluate(fly_into(tmp_path / "r", contacts=contacts, let_go_from_us=3_000_000))
+    assert (metrics["collisions"], metrics["collisions_lost_vehicle"]) == (1, 0)
+    assert metrics["mission_success"] is False
+
+
 @pytest.mark.parametrize(
     ("fault", "sentence"),
     [

@@ -25,6 +25,7 @@ from skyhaul.evaluation.parquet_log import GrowingParquet
 from skyhaul.evaluation.recorder import RunRecorder, _schema
 from skyhaul.evaluation.series import load_run
 from skyhaul.mission.api import Outcome, Phase
+from skyhaul.plant.api import Contact
 from skyhaul.world.load import load_config
 from skyhaul.world.scenario import Scenario
 
@@ -254,6 +255,23 @@ def test_a_safe_hover_before_lift_off_is_not_airborne(made_up: ModuleType, tmp_p
     np.testing.assert_array_equal(run.airborne, run.t_s >= 0.6)
     names = [name for name, _, _ in run.phase_spans]
     assert names == ["lift", "safe hover", "lift", "carry", "safe hover"]
+
+
+def test_lift_off_is_when_the_load_leaves_the_floor(made_up: ModuleType, tmp_path: Path) -> None:
+    """A contact in the lift counts once the load hangs, and not while it stands."""
+    s = made_up.scenario()
+    recorder = RunRecorder(tmp_path / "r", s, 0)
+    contacts = (Contact(200_000, "vehicle 1", "ball"), Contact(800_000, "vehicle 2", "ball"))
+    for k in range(500):
+        tick = made_up.tick_at(s, 2_000 * k, made_up.Faults(contacts=contacts))
+        load = tick.truth.team.p_WL.copy()
+        load[2] += 0.1 * (k >= 300)
+        truth = replace(tick.truth, team=replace(tick.truth.team, p_WL=load))
+        recorder.tick(replace(tick, phase=Phase.LIFT, truth=truth))
+    recorder.close(Outcome(False, "", 1_000_000, {}, 1.0))
+    run = load_run(tmp_path / "r")
+    np.testing.assert_array_equal(run.airborne, run.t_s >= 0.6)
+    assert [c.airborne for c in run.events.contacts] == [False, True]
 
 
 def test_leaving_the_recorder_by_an_exception_closes_it(tmp_path: Path) -> None:

@@ -107,6 +107,40 @@ def test_a_load_that_topples_was_dropped(at, axis, tilt_deg, over):
     assert watch(judge_of(), [(Phase.CARRY, turned)] * 2)[-1].over == over
 
 
+@pytest.mark.parametrize("phase", [Phase.LIFT, Phase.CARRY])
+def test_lift_off_is_when_the_load_leaves_the_floor_in_any_phase(at, phase):
+    risen, low, down = at((0, 0, 0.08)), at((0, 0, 0.065)), at((0, 0, 0.055))
+    verdicts = watch(judge_of(), [(phase, low), (phase, risen), (phase, low), (phase, down)])
+    assert [v.over for v in verdicts] == [False, False, False, True]
+    assert verdicts[-1].reason == "the load was dropped"
+    assert set(watch(judge_of(), [(phase, low), (phase, down)])) == {FLYING_ON}
+
+
+@pytest.mark.parametrize("phase", [Phase.LIFT, Phase.CARRY, Phase.HOVER, Phase.SAFE])
+@pytest.mark.parametrize("attached", [True, False])
+def test_a_vehicle_that_comes_down_on_its_cable_ends_the_flight(at, phase, attached):
+    """One that was let go may lie on the floor."""
+    estimate = at((0.0, 0.0, 0.04))
+    p_WB = estimate.team.p_WB.copy()
+    p_WB[2, 2] = 0.04
+    fallen = replace(
+        estimate,
+        team=replace(estimate.team, p_WB=p_WB),
+        attached=np.array([True, True, attached, True]),
+    )
+    verdict = watch(judge_of(), [(phase, fallen)])[0]
+    assert (verdict.over, verdict.success) == (attached, False)
+    assert attached == (verdict.reason == "vehicle 2 came down")
+    assert set(watch(judge_of(), [(Phase.TAUTEN, fallen)])) == {FLYING_ON}
+
+
+def test_a_take_off_that_was_called_off_is_over_when_all_stand_and_says_so(at):
+    verdicts = watch(judge_of(), [(Phase.ABORT, at((0, 0, 0.04))), (Phase.DOWN, at((0, 0, 0.04)))])
+    assert [v.over for v in verdicts] == [False, True]
+    assert not verdicts[1].success
+    assert "called off" in verdicts[1].reason
+
+
 def test_a_load_that_turns_about_the_vertical_is_still_upright(at):
     turned = at((0, 0, 1), turn_rad=(0.0, 0.0, 3.0))
     assert set(watch(judge_of(), [(Phase.CARRY, turned)] * 2)) == {FLYING_ON}

@@ -80,7 +80,7 @@ def test_a_new_leader_without_a_plan_solves_from_what_is_measured(ensemble):
     leader = leader_of(ensemble)
     estimate = look(leader, ensemble, 0)
     solve(leader, estimate, "start")
-    leader.take_over(1, None)
+    leader.take_over(2_000, 1, None, None)
     assert leader.solve_event(2_000, estimate) == "start"
     solve(leader, replace(estimate, stamp_us=2_000), "start")
     np.testing.assert_allclose(
@@ -145,7 +145,7 @@ def taut(i, t_us):
     return Status(
         stamp_us=t_us, vehicle=i, p_WB=np.zeros(3), v_WB=np.zeros(3), tension=0.5, taut=True,
         attached=True, at_station=True, station_in_s=0.0, on_way_s=1.0,
-        faulty=np.zeros(4, np.bool_), order_us=-1, plan_us=-1,
+        faulty=np.zeros(4, np.bool_), hears=np.ones(4, np.bool_), order_us=-1, plan_us=-1,
     )  # fmt: skip
 
 
@@ -167,6 +167,22 @@ def test_the_journey_is_planned_while_the_load_rises_and_not_before(
     ahead = rise_us + np.arange(0, 400_000, 50_000)
     a, b = (r.sample(ahead).p_WD[:, 0] for r in (before, leader.reference))
     np.testing.assert_allclose(b[:, :2], a[:, :2], atol=0.01)  # straight up at first
+
+
+def test_a_vehicle_lost_while_the_load_stands_on_the_floor_calls_the_take_off_off(
+    ensemble, make_ensemble, ground_stack
+):
+    for t_us in (1_000_000, 1_600_000):
+        leader = lifting(ensemble, make_ensemble, ground_stack, 1_000_000)
+        assert leader.phase is Phase.LIFT
+        leader.hear(t_us, [], frozenset({1}))
+        look(leader, ensemble, t_us, FLOOR)
+        assert leader.order.phase == Phase.ABORT.value
+        assert leader.solve_event(t_us, ensemble.estimate(t_us)) is None
+    leader = lifting(ensemble, make_ensemble, ground_stack, 1_000_000)
+    leader.hear(2_000_000, [], frozenset({1}))
+    look(leader, ensemble, 2_000_000, np.add(FLOOR, [0.0, 0.0, 0.05]))
+    assert leader.phase is Phase.LIFT  # in the air it is flown on
 
 
 def test_a_mover_over_a_station_holds_the_take_off(ensemble, make_ensemble, ground_stack):

@@ -9,14 +9,19 @@ import pytest
 
 from skyhaul.comms.messages import Status
 from skyhaul.mission.api import Phase
+from skyhaul.mission.config import RunConfig
+from skyhaul.mission.loss import rest_after_loss
 from skyhaul.mission.phases import (
     LeaderView,
+    lifts_level,
     next_phase,
     spool_plan,
     spool_share,
     without_feedback,
 )
+from skyhaul.mission.setup import build_stack
 from skyhaul.model.formation import hover_forces
+from skyhaul.world.load import load_config
 
 READY = Status(
     stamp_us=0,
@@ -30,6 +35,7 @@ READY = Status(
     station_in_s=0.0,
     on_way_s=2.5,
     faulty=np.zeros(4, dtype=bool),
+    hears=np.ones(4, dtype=bool),
     order_us=0,
     plan_us=0,
 )
@@ -45,6 +51,7 @@ def view(phase, **changes):
         reaches_goal=True,
         lifted_m=9.0,
         enough_left=True,
+        lifts_level=True,
     )
     return replace(base, **changes)
 
@@ -54,6 +61,8 @@ def one_not(**changes):
 
 
 ONE_SILENT = {"statuses": (READY, None, READY, READY)}
+
+PARKED = {"statuses": (replace(READY, station_in_s=np.inf),) * 4}
 
 TRANSITIONS = [
     (Phase.FLY_IN, {}, Phase.TAUTEN),
@@ -78,6 +87,19 @@ TRANSITIONS = [
     (Phase.HOVER, {"reference_ended": False}, Phase.CARRY),
     (Phase.SAFE, {}, Phase.SAFE),
     (Phase.SAFE, {"reference_ended": False}, Phase.SAFE),
+    (Phase.FLY_IN, {"lifts_level": False}, Phase.ABORT),
+    (Phase.TAUTEN, {"enough_left": False}, Phase.ABORT),
+    (Phase.TAUTEN, {"lifts_level": False}, Phase.ABORT),
+    (Phase.LIFT, {"lifts_level": False, "lifted_m": 0.01}, Phase.ABORT),
+    (Phase.LIFT, {"enough_left": False, "lifted_m": 0.01}, Phase.ABORT),
+    (Phase.LIFT, {"lifts_level": False, "lifted_m": 0.05}, Phase.LIFT),
+    (Phase.CARRY, {"lifts_level": False, "lifted_m": 0.0}, Phase.HOVER),
+    (Phase.ABORT, {}, Phase.ABORT),
+    (Phase.ABORT, {"enough_left": False, "lifts_level": False}, Phase.ABORT),
+    (Phase.ABORT, PARKED, Phase.DOWN),
+    (Phase.ABORT, {"statuses": (None, *PARKED["statuses"][1:])}, Phase.DOWN),
+    (Phase.DOWN, {}, Phase.DOWN),
+    (Phase.DOWN, {"enough_left": False}, Phase.DOWN),
 ]
 
 
@@ -94,10 +116,10 @@ def test_too_few_vehicles_in_the_air_end_in_a_safe_hover(stack, phase, ended):
 
 
 def test_no_view_leads_back_to_the_floor_and_nothing_leaves_the_safe_hover(stack):
-    flags = list(product([False, True], repeat=4))
+    flags = list(product([False, True], repeat=5))
     statuses = [(READY,) * 4, ONE_SILENT["statuses"], ()]
     before = (Phase.LIFT, Phase.CARRY, Phase.HOVER, Phase.SAFE)
-    for phase, (a, b, c, d), heard in product(before, flags, statuses):
+    for phase, (a, b, c, d, f), heard in product(before, flags, statuses):
         after = next_phase(
             stack,
             view(
@@ -106,11 +128,23 @@ def test_no_view_leads_back_to_the_floor_and_nothing_leaves_the_safe_hover(stack
                 reference_ended=b,
                 reaches_goal=c,
                 enough_left=d,
+                lifts_level=f,
                 statuses=heard,
             ),
         )
-        assert after not in (Phase.FLY_IN, Phase.TAUTEN)
+        assert after not in (Phase.FLY_IN, Phase.TAUTEN, Phase.ABORT)
         assert (phase, after) == (Phase.SAFE, Phase.SAFE) or phase is not Phase.SAFE
+
+
+@pytest.mark.parametrize(
+    ("count", "lost", "level"),
+    [(4, (), True), (4, (1,), False), (6, (1,), True), (6, (1, 2), False)],
+)
+def test_a_plate_is_lifted_only_where_it_hangs_level(count, lost, level):
+    """Four that lose one carry a plate that tilts; six still hang it level."""
+    stack = build_stack(load_config(RunConfig, "hover", (f"team={{count: {count}}}",)))
+    rest = rest_after_loss(stack.team, tuple(i not in lost for i in range(count)))
+    assert lifts_level(stack, rest) == level
 
 
 def test_the_pull_grows_evenly_from_a_fifth_to_all_of_it(stack):

@@ -127,6 +127,47 @@ def test_a_cable_that_is_not_hooked_yet_is_no_fault_before_there_is_a_plan(ensem
     assert agent.faulty == frozenset()
 
 
+def test_a_cable_that_comes_off_while_the_load_stands_on_the_floor_is_a_fault(ensemble):
+    agent = agent_of(ensemble)
+    agent.order = order(Phase.TAUTEN)
+    agent.report(0, ensemble.estimate(0))
+    assert agent.faulty == frozenset()
+    agent.report(2_000, ensemble.estimate(2_000, attached=[True, False, True, True]))
+    assert agent.faulty == {1}
+
+
+def test_a_hook_that_does_not_close_is_a_fault_after_a_while(ensemble, with_mission):
+    station = replace(ensemble.stack.mission.station, attach_s=0.1, speed_mps=50.0)
+    e = replace(ensemble, stack=with_mission(ensemble.stack, station=station))
+    agent, loose = agent_of(e), [True, False, True, True]
+    agent.order, asked_us = order(Phase.FLY_IN), []
+    for k in range(600):
+        t_us = k * STEP_US
+        estimate = e.estimate(t_us, attached=loose)
+        agent.report(t_us, replace(estimate, thrust=np.full(4, agent._thrust_cmd)))
+        if agent.faulty:
+            break
+        if agent.act(t_us, estimate).attach:
+            asked_us.append(t_us)
+    (fault,) = [m.payload for m in e.notes.messages if m.topic == "fault"]
+    assert fault.reason == "its hook does not close on the load"
+    assert t_us - asked_us[0] == pytest.approx(100_000, abs=3 * STEP_US)
+
+
+@pytest.mark.parametrize("phase", [Phase.ABORT, Phase.DOWN])
+def test_a_take_off_that_is_called_off_leads_back_to_the_parking_place(ensemble, phase):
+    agent = agent_of(ensemble)
+    agent.plan, agent.order = plan_message(ensemble), order(Phase.TAUTEN)
+    for k in range(250):
+        agent.act(k * STEP_US, ensemble.estimate(k * STEP_US))
+    assert agent._route.progress_s > 0.0
+    agent.order = order(phase)
+    for k in range(250, 1500):
+        act = agent.act(k * STEP_US, ensemble.estimate(k * STEP_US))
+    np.testing.assert_array_equal(act.rotor_cmd, 0.0)
+    assert np.isinf(agent._station_in_s())
+
+
 def test_on_the_way_to_the_station_the_vehicle_lifts_itself_and_comes_back_on_retreat(ensemble):
     agent = agent_of(ensemble)
     agent.order = order(Phase.TAUTEN)

@@ -28,6 +28,7 @@ class Status:
     station_in_s: float  # time until then; inf while it stands at its parking place [s]
     on_way_s: float  # how far it is on its way there [s]
     faulty: Mask  # (n,) vehicles that it knows to carry no longer
+    hears: Mask  # (n,) vehicles that it has heard a moment ago, itself included
     order_us: TimeUs  # stamp of the order that it has; -1: none yet
     plan_us: TimeUs  # stamp of the plan that it has; -1: none yet
 

@@ -39,6 +39,10 @@ class RepeatingBus:
         self._newest[topic] = _Newest(payload, t_us, t_us)
         self._bus.publish(topic, sender, t_us, payload)
 
+    def forget(self) -> None:
+        """Repeat nothing of what was published so far, as when another vehicle sends from now."""
+        self._newest.clear()
+
     def receive(self, receiver: int, t_us: TimeUs) -> list[Envelope[object]]:
         """See `Bus.receive`."""
         return self._bus.receive(receiver, t_us)

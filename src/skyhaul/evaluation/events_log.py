@@ -46,7 +46,8 @@ class EventsLog:
     def contact(self, contact: Contact, airborne: bool, truth: Truth) -> None:
         """Two bodies begin to touch."""
         t_us = contact.stamp_us
-        lost = any(_is_lost(body, truth) for body in (contact.body_a, contact.body_b))
+        a, b = contact.body_a, contact.body_b
+        lost = (_is_lost(a, truth) and b == "room") or (_is_lost(b, truth) and a == "room")
         self._log.write(
             "/contact",
             "skyhaul_msgs/Contact",
@@ -205,9 +206,8 @@ class EventsLog:
 
 
 def _is_lost(body: str, truth: Truth) -> bool:
-    """Whether a contact's body is a vehicle, or its cable, that no longer carries."""
+    """Whether a contact's body is a vehicle whose rotors stopped, or its cable."""
     kind, _, index = body.partition(" ")
     if kind not in ("vehicle", "cable") or not index.isdigit():
         return False
-    i = int(index)
-    return not (truth.alive[i] and truth.attached[i])
+    return not truth.alive[int(index)]

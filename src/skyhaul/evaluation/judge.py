@@ -17,7 +17,8 @@ def fault_of(run: Run, metrics: MetricMap) -> str | None:
     """Why the mission does not count as done, one sentence; None: it does.
 
     Done: the flight says so, and the recorded truth bears it out: the load held at the goal; after
-    lift-off no contact (a lost vehicle may fall), no touch of an obstacle and no slack cable.
+    lift-off no contact (a lost vehicle may fall to the floor, and on nobody), no touch of an
+    obstacle and no slack cable.
     """
     outcome = run.events.outcome
     if outcome is None:

@@ -20,7 +20,7 @@ from skyhaul.evaluation.mcap_log import McapLog
 from skyhaul.evaluation.parquet_log import GrowingParquet
 from skyhaul.evaluation.team_log import TeamLog
 from skyhaul.mapping.api import WorldMap
-from skyhaul.mission.api import AIRBORNE, Outcome, Phase, Replan, Solve, Tick, Trigger
+from skyhaul.mission.api import LIFTED_M, PULLING, Outcome, Phase, Replan, Solve, Tick, Trigger
 from skyhaul.planning.api import Reference
 from skyhaul.plant.api import PLANT_STEP_US
 from skyhaul.types import US_PER_S, TimeUs
@@ -63,6 +63,8 @@ class RunRecorder:
         factor = rotor_power_factor(energy or EnergyModel(), radius)
         self._power_step = factor * PLANT_STEP_US / US_PER_S
         self._extremes = extremes.start(n)
+        payload = config.team.payload
+        self._rest_m = 0.5 * payload.size_m[2] if payload.kind == "rigid" else payload.radius_m
         self._phase: Phase | None = None
         self._airborne = False
         self._now_us: TimeUs = 0
@@ -71,8 +73,9 @@ class RunRecorder:
         """Every plant step."""
         truth = tick.truth
         t_us = self._now_us = truth.stamp_us
-        if tick.phase is not self._phase:
-            self._enter(tick.phase, t_us)
+        airborne = self._airborne or self._lifts_off(tick)
+        if tick.phase is not self._phase or airborne != self._airborne:
+            self._enter(tick.phase, airborne, t_us)
         extremes.follow(
             self._extremes,
             truth.clearance_m,
@@ -156,10 +159,13 @@ class RunRecorder:
         finally:
             self._events.outcome(outcome)
 
-    def _enter(self, phase: Phase, t_us: TimeUs) -> None:
-        """A new phase: what is counted after lift-off starts anew at lift-off."""
-        lifted = self._airborne or phase in (Phase.CARRY, Phase.HOVER)
-        airborne = lifted and phase in AIRBORNE
+    def _lifts_off(self, tick: Tick) -> bool:
+        """Whether the load leaves the floor."""
+        lifted = float(tick.truth.team.p_WL[2]) - self._rest_m > LIFTED_M
+        return tick.phase in (Phase.CARRY, Phase.HOVER) or (tick.phase in PULLING and lifted)
+
+    def _enter(self, phase: Phase, airborne: bool, t_us: TimeUs) -> None:
+        """A new phase, or lift-off: what is counted after lift-off starts anew then."""
         if airborne != self._airborne:
             extremes.restart(self._extremes, keep_clearance=True)
         self._phase, self._airborne = phase, airborne

@@ -61,7 +61,7 @@ GROUPS: tuple[tuple[str, tuple[Row, ...]], ...] = (
         "Safety",
         (
             Row("collisions", "contacts after lift-off", "", "d", _hits, "= 0"),
-            Row("collisions_lost_vehicle", "... of a lost vehicle, within them", "", "d"),
+            Row("collisions_lost_vehicle", "... of a lost vehicle with the floor", "", "d"),
             Row("min_clearance_m", "least clearance", "m", ".3f", _positive, "> 0"),
             Row("min_quad_distance_m", "least distance of two vehicles, centres", "m", ".3f",
                 _above("limit_min_quad_distance_m"), ">= {limit}"),

@@ -29,10 +29,17 @@ class Phase(Enum):
     """At the goal (or at the end of the task), holding still."""
     SAFE = "safe hover"
     """Something failed for good: the team holds still and waits."""
+    ABORT = "called off"
+    """A vehicle was lost before the load left the floor: the others fly back to their places."""
+    DOWN = "down"
+    """They stand there, rotors off; the end."""
 
 
-AIRBORNE = (Phase.CARRY, Phase.HOVER, Phase.SAFE)
-"""Phases after lift-off: tracking, contacts and tensions count here."""
+PULLING = (Phase.LIFT, Phase.CARRY, Phase.HOVER, Phase.SAFE)
+"""Phases in which the vehicles pull at the load."""
+LIFTED_M = 0.03
+"""The load has left the floor once it is this high above it: lift-off. From then on tracking,
+contacts and tensions count [m]."""
 
 
 @dataclass(frozen=True, eq=False)

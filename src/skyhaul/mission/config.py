@@ -7,10 +7,12 @@ from skyhaul.comms.in_process import InProcess
 from skyhaul.control.config import ControlConfig
 from skyhaul.mapping.mapper import Mapping
 from skyhaul.mission.latency import Latency
+from skyhaul.mission.odometry import ModelledOdometry
 from skyhaul.mission.station import StationParams, TakeOffParams
 from skyhaul.mission.triggers import EventTrigger, ReplanTriggers, SolveTrigger
 from skyhaul.params import Params
 from skyhaul.perception.obstacles.truth import TruthObstacles
+from skyhaul.perception.team.fused import FusedTeam
 from skyhaul.perception.team.truth import TruthTeam
 from skyhaul.planning.config import PlanningConfig
 from skyhaul.sensors.config import SensorsConfig
@@ -21,8 +23,10 @@ from skyhaul.world.scenario import Scenario
 class PerceptionConfig(Params):
     """Estimators."""
 
-    team: TruthTeam = field(default_factory=TruthTeam)
+    team: TruthTeam | FusedTeam = field(default_factory=TruthTeam)
     """Where the team is."""
+    odometry: ModelledOdometry = field(default_factory=ModelledOdometry)
+    """Own odometry of every vehicle; `kind: fused` reads it."""
     obstacles: TruthObstacles = field(default_factory=TruthObstacles)
     """Where the obstacles are."""
 
@@ -84,3 +88,15 @@ class RunConfig(Scenario):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.sensors.check(self.team)
+        if self.perception.team.kind == "fused":
+            if self.team.payload.kind != "rigid":
+                raise ValueError(
+                    "perception.team: kind fused needs a tag, which a load of kind rigid carries, "
+                    f"got a load of kind {self.team.payload.kind}"
+                )
+            names = [c.name for c in self.sensors.rig.cameras]
+            if "down" not in names:
+                raise ValueError(
+                    "perception.team: kind fused needs a camera named down in sensors.rig, "
+                    f"got {', '.join(names) or 'none'}"
+                )

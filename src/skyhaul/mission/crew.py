@@ -15,9 +15,11 @@ from skyhaul.types import TimeUs
 
 
 class Crew:
-    """The agents, and the leader's role, held by the lowest vehicle that is not faulty.
+    """The agents, and the leader's role, held by the lowest vehicle that is heard and not faulty.
 
-    The leader's orders and plans are sent until every vehicle that carries has them.
+    Every agent elects by what it hears itself, and the role goes to one that elects itself: where
+    the vehicle that led so far is cut off and does not know it yet, to the newer one. The leader's
+    orders and plans are sent until every vehicle that carries has them.
     """
 
     def __init__(self, stack: Stack, bus: Bus, recorder: Recorder, watch: Stopwatch) -> None:
@@ -27,6 +29,7 @@ class Crew:
         self._orders = RepeatingBus(bus)
         self.leader = Leader(stack, 0, self._orders, recorder, watch)
         self._faulty: frozenset[int] = frozenset()
+        self._claims = frozenset({0})
 
     def communicate(self, t_us: TimeUs, estimate: TeamEstimate) -> Leader:
         """Exchange messages; returns the leader, who may have changed."""
@@ -34,7 +37,8 @@ class Crew:
         own = [agent.report(t_us, estimate) for agent in self.agents]
         chief = self.agents[self._elected()]
         if chief.index != self.leader.index:
-            self.leader.take_over(chief.index, chief.plan)
+            self._orders.forget()
+            self.leader.take_over(t_us, chief.index, chief.order, chief.plan)
         statuses = [s for s in (*heard[chief.index], own[chief.index]) if s is not None]
         for status in statuses:
             held = {ORDER: status.order_us, PLAN: status.plan_us}
@@ -53,8 +57,9 @@ class Crew:
         agent.order, agent.plan = self.leader.order, self.leader.forces.message
 
     def _elected(self) -> int:
-        """Lowest vehicle that does not know itself to be faulty; the old leader if all are."""
-        for agent in self.agents:
-            if agent.index not in agent.faulty:
-                return agent.index
-        return self.leader.index
+        """The vehicle that began to elect itself last; the old leader while none does."""
+        claims = frozenset(agent.index for agent in self.agents if agent.chief == agent.index)
+        new, self._claims = claims - self._claims, claims
+        leader = self.leader.index
+        stays = not claims or (leader in claims and not new)
+        return leader if stays else min(new or claims)

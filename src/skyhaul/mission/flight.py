@@ -13,6 +13,7 @@ from skyhaul.mission.config import RunConfig
 from skyhaul.mission.crew import Crew
 from skyhaul.mission.judge import FLYING_ON, Judge, Verdict
 from skyhaul.mission.loop import cycle
+from skyhaul.mission.sensing import team_sensing
 from skyhaul.mission.setup import build_stack
 from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.mission.ticks import TickMaker
@@ -96,7 +97,7 @@ class Flight:
         self._judge, self._judged = Judge(config), Judge(config).init()
         self._shapes = tuple(o.shape for o in config.world.obstacles)
         self._seen = config.sensors.objects.init(len(self._shapes))
-        self._team_memory = config.perception.team.init()
+        self._team = team_sensing(config, seed, self._truth)
         self._obstacle_memory = config.perception.obstacles.init()
 
     def run(self, progress: ShowProgress | None) -> Verdict:
@@ -142,9 +143,7 @@ class Flight:
     def _perceive(self, t_us: TimeUs) -> tuple[TeamEstimate, ObstacleEstimate | None]:
         """p(t) and, when it is due, o(t)."""
         sensors, perception = self._config.sensors, self._config.perception
-        self._team_memory, estimate = perception.team.step(
-            self._team_memory, sensors.team.read(self._truth)
-        )
+        estimate = self._team.estimate(self._truth)
         if t_us % OBSTACLE_PERIOD_US:
             return estimate, None
         self._seen, reading = sensors.objects.read(self._seen, self._truth, self._shapes)

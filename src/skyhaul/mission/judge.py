@@ -5,13 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyhaul.mission.api import AIRBORNE, Phase
+from skyhaul.mission.api import LIFTED_M, PULLING, Phase
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.types import US_PER_S, TimeUs
 from skyhaul.world.scenario import GoTo, Scenario
 
 _FALLEN_M = 0.02
 _TOPPLED = 0.2  # cosine of the load's tilt
+
+CALLED_OFF = "the take-off was called off: a vehicle was lost before the load left the floor"
 
 
 @dataclass(frozen=True)
@@ -31,12 +33,12 @@ class JudgeMemory:
     """Since when the end of the task has been held."""
 
     held_since_us: TimeUs | None = None
-    flew: bool = False  # the load has been well above the floor
+    flew: bool = False  # the load has left the floor
 
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Ends a flight: task done, time over, or load dropped."""
+    """Ends a flight: task done, time over, called off, or something came down."""
 
     scenario: Scenario
 
@@ -48,10 +50,13 @@ class Judge:
         self, memory: JudgeMemory, t_us: TimeUs, phase: Phase, estimate: TeamEstimate
     ) -> tuple[JudgeMemory, Verdict]:
         """Look at the team once."""
-        height = float(estimate.team.p_WL[2])
-        memory = replace(memory, flew=memory.flew or (phase in AIRBORNE and height > 0.2))
-        if memory.flew and self._dropped(estimate):
-            return memory, Verdict(True, False, "the load was dropped")
+        if phase is Phase.DOWN:
+            return memory, Verdict(True, False, CALLED_OFF)
+        if phase in PULLING:
+            memory = replace(memory, flew=memory.flew or self._height_m(estimate) > LIFTED_M)
+            crash = self._crash(memory, estimate)
+            if crash is not None:
+                return memory, Verdict(True, False, crash)
         done = phase is Phase.HOVER and self._at_end(estimate)
         since = memory.held_since_us if memory.held_since_us is not None else t_us
         memory = replace(memory, held_since_us=since if done else None)
@@ -62,12 +67,21 @@ class Judge:
             return memory, Verdict(True, False, f"time limit reached in {where}")
         return memory, FLYING_ON
 
-    def _dropped(self, estimate: TeamEstimate) -> bool:
+    def _crash(self, memory: JudgeMemory, estimate: TeamEstimate) -> str | None:
+        """What came down: the load after it flew, or, at any time, a vehicle on its cable."""
         q = estimate.team.q_WL
         upright = 1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2)
+        if upright < _TOPPLED or (memory.flew and self._height_m(estimate) < _FALLEN_M):
+            return "the load was dropped"
+        lowest = self.scenario.team.vehicle.half_height_m + _FALLEN_M
+        down = np.flatnonzero(estimate.attached & (estimate.team.p_WB[:, 2] < lowest))
+        return f"vehicle {down[0]} came down" if down.size else None
+
+    def _height_m(self, estimate: TeamEstimate) -> float:
+        """Height of the load above where it stands on the floor [m]."""
         payload = self.scenario.team.payload
         half = 0.5 * payload.size_m[2] if payload.kind == "rigid" else payload.radius_m
-        return bool(estimate.team.p_WL[2] < half + _FALLEN_M or upright < _TOPPLED)
+        return float(estimate.team.p_WL[2]) - half
 
     def _at_end(self, estimate: TeamEstimate) -> bool:
         task = self.scenario.task

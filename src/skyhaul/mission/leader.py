@@ -10,11 +10,12 @@ from skyhaul.comms.messages import ORDER, PLAN, Order, PlanMessage, Status
 from skyhaul.control.api import ForcePlan
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.mapping.api import MapChange, WorldMap
-from skyhaul.mission.api import Phase, Recorder, Replan, Trigger
+from skyhaul.mission.api import PULLING, Phase, Recorder, Replan, Trigger
 from skyhaul.mission.forces import ForcePlanning
+from skyhaul.mission.hearing import SILENT_US
 from skyhaul.mission.latency import Pending
 from skyhaul.mission.loss import reference_after_loss, rest_after_loss
-from skyhaul.mission.phases import LeaderView, next_phase, spool_plan
+from skyhaul.mission.phases import LeaderView, lifts_level, next_phase, spool_plan
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.mission.take_off import is_clear, predict
@@ -68,7 +69,7 @@ class Leader:
         self._task_reference: SplineReference | None = None
         self._reaches_goal = False
         self._waits = False  # the reference in force rests on its way
-        self._any_left = self._enough_left = True
+        self._any_left = self._enough_left = self._lifts_level = True
         self._heading: HeadingPlan | None = None
         self._last_replan_us = -US_PER_S
         self._phase_since_us = -1
@@ -93,7 +94,7 @@ class Leader:
             self._enough_left = False
             return
         rest = rest_after_loss(self._stack.team, tuple(bool(a) for a in active))
-        self._enough_left = rest.survivable
+        self._enough_left, self._lifts_level = rest.survivable, lifts_level(self._stack, rest)
         if self.reference is not None and rest.survivable and self._stack.arrays.rigid:
             self._tilt(t_us, self.reference, rest.R_WL)
 
@@ -103,10 +104,18 @@ class Leader:
         turned = reference_after_loss(self._stack, reference, t_us, R_WL)
         self._adopt(t_us, turned, reaches_goal)
 
-    def take_over(self, index: int, message: PlanMessage | None) -> None:
-        """Lead from another vehicle; flies on along the plan that this one received last."""
-        self.index = index
+    def take_over(
+        self, t_us: TimeUs, index: int, order: Order | None, message: PlanMessage | None
+    ) -> None:
+        """Lead from another vehicle: go on from the order and the plan that it received last."""
+        self._recorder.trigger(Trigger(t_us, "leader", f"vehicle {index} follows {self.index}"))
+        self.index, self.order = index, None  # it orders by its own name
+        if order is not None:
+            self.phase, self._phase_since_us = Phase(order.phase), order.since_us
+        if message is not None and message.reference is not self.reference:
+            self._adopt(t_us, message.reference, self._stack.task.kind != "goto")
         self.forces.follow(message)
+        self.forces.new_reference()
 
     # Step 1: M(t) = SLAM(p(t), o(t)) ------------------------------------------------------------
     def update_map(self, estimate: TeamEstimate, obstacles: ObstacleEstimate) -> None:
@@ -136,13 +145,19 @@ class Leader:
         return LeaderView(
             phase=self.phase,
             since_s=(t_us - self._phase_since_us) / US_PER_S,
-            statuses=tuple(self._statuses.get(int(i)) for i in np.flatnonzero(self.active)),
+            statuses=tuple(self._heard(t_us, int(i)) for i in np.flatnonzero(self.active)),
             column_blocked=blocked,
             reference_ended=self.reference is not None and t_us >= self.reference.end_us,
             reaches_goal=self._reaches_goal,
             lifted_m=float(estimate.team.p_WL[2]) - self._floor_z,
             enough_left=self._enough_left,
+            lifts_level=self._lifts_level,
         )
+
+    def _heard(self, t_us: TimeUs, i: int) -> Status | None:
+        """The last heartbeat of a vehicle, unless it has fallen silent."""
+        status = self._statuses.get(i)
+        return status if status and t_us - status.stamp_us <= SILENT_US else None
 
     def _column_blocked(self, t_us: TimeUs, estimate: TeamEstimate) -> bool:
         """Whether a mover comes in the way of the take-off before the team can dodge it."""
@@ -286,8 +301,8 @@ class Leader:
         spooling = self.phase is Phase.LIFT and (
             t_us - self._phase_since_us < self._stack.mission.spool_s * US_PER_S
         )
-        on_station = self.phase in (Phase.FLY_IN, Phase.TAUTEN)
-        if self.reference is None or spooling or on_station or not self._any_left:
+        pulling = self.phase in PULLING
+        if self.reference is None or spooling or not pulling or not self._any_left:
             return None
         return self.forces.due(t_us, estimate, self._clearance_m)
 

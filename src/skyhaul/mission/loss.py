@@ -56,6 +56,16 @@ def makeshift_plan(stack: Stack, message: PlanMessage, t_us: TimeUs, active: Mas
     return replace(message, plan=plan, reference=reference)
 
 
+def plan_in_silence(stack: Stack, message: PlanMessage, t_us: TimeUs) -> PlanMessage:
+    """What a follower flies from when the leader's plan is over and no other has come.
+
+    The backup law along the reference that it has, with the cables of that plan: all who fell
+    silent fly on to the end of that reference together, and rest there.
+    """
+    plan = stack.backup.plan(message.reference, t_us, message.plan.active)
+    return replace(message, plan=plan)
+
+
 @lru_cache(maxsize=8)
 def rest_after_loss(team: Team, active: tuple[bool, ...]) -> Equilibrium:
     """`equilibrium_after_loss`, searched once."""

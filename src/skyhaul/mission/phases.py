@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which phase follows which, and when."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skyhaul.comms.messages import Status
 from skyhaul.control.api import ForcePlan
-from skyhaul.mission.api import Phase
+from skyhaul.control.failure import Equilibrium
+from skyhaul.mission.api import LIFTED_M, Phase
 from skyhaul.mission.setup import Stack
 from skyhaul.model.formation import hover_forces
 from skyhaul.types import Array, Mask, TimeUs
+
+LEVEL_DEG = 1.0
+"""A load that tilts less hangs level [deg]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +30,17 @@ class LeaderView:
     reaches_goal: bool  # the reference leads to the goal (or the task is no journey)
     lifted_m: float  # height of the load above where it stood [m]
     enough_left: bool  # the vehicles that are left can carry the load
+    lifts_level: bool  # and they can lift it from the floor, where it cannot tilt
 
 
 def next_phase(stack: Stack, view: LeaderView) -> Phase:
     """The phase that follows from what is seen; often the same."""
     heard = [s for s in view.statuses if s is not None]
     complete = len(heard) == len(view.statuses)
-    if view.phase not in (Phase.FLY_IN, Phase.TAUTEN) and not view.enough_left:
+    called_off = view.phase in (Phase.ABORT, Phase.DOWN)
+    if _on_floor(view) and not (view.enough_left and view.lifts_level):
+        return Phase.ABORT
+    if not called_off and not view.enough_left:
         return Phase.SAFE
     match view.phase:
         case Phase.FLY_IN:
@@ -49,8 +58,23 @@ def next_phase(stack: Stack, view: LeaderView) -> Phase:
             return Phase.HOVER if done else view.phase
         case Phase.HOVER:
             return view.phase if view.reference_ended else Phase.CARRY
-        case Phase.SAFE:
+        case Phase.ABORT:
+            parked = all(math.isinf(s.station_in_s) for s in heard)
+            return Phase.DOWN if parked else view.phase
+        case Phase.SAFE | Phase.DOWN:
             return view.phase
+
+
+def _on_floor(view: LeaderView) -> bool:
+    """Whether the take-off can still be called off."""
+    pulled = view.phase is Phase.LIFT and view.lifted_m < LIFTED_M
+    return pulled or view.phase in (Phase.FLY_IN, Phase.TAUTEN)
+
+
+def lifts_level(stack: Stack, rest: Equilibrium) -> bool:
+    """Whether the load hangs level in an equilibrium; a point mass always does."""
+    level = rest.formation and rest.tilt_deg < LEVEL_DEG
+    return rest.survivable and (level or not stack.arrays.rigid)
 
 
 def spool_plan(stack: Stack, t_us: TimeUs, load: Array, active: Mask) -> ForcePlan:

@@ -54,6 +54,8 @@ class StationParams(Params):
     """A cable is taut once it has held that tension for this long [s]."""
     creep_max_share: float = 0.4
     """The creep goes at most this share of the cable length [-]."""
+    attach_s: float = 2.0
+    """A hook that does not close within this time at the station is a fault [s]."""
     turn_s: float = 0.5
     """Time to turn from forwards to backwards [s]."""
     cruise_height_m: float = 1.5
@@ -62,8 +64,10 @@ class StationParams(Params):
     """How far a vehicle without a cable flies off [m]."""
 
     def __post_init__(self) -> None:
-        positive = ("speed_mps", "creep_mps", "taut_n", "turn_s", "cruise_height_m", "clear_m")
-        for name in positive:
+        for name in (
+            *("speed_mps", "creep_mps", "taut_n", "attach_s", "turn_s"),
+            *("cruise_height_m", "clear_m"),
+        ):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
         if not self.settle_s >= 0.0:

@@ -8,7 +8,7 @@ import numpy as np
 from skyhaul.control.api import VehicleCommand
 from skyhaul.geometry.kernels import R_to_quat
 from skyhaul.geometry.so3 import vee
-from skyhaul.mission.api import AIRBORNE, Tick
+from skyhaul.mission.api import PULLING, Tick
 from skyhaul.mission.leader import Leader
 from skyhaul.model.flatness import flat_outputs
 from skyhaul.model.team import Team
@@ -74,7 +74,7 @@ class TickMaker:
         planned = leader.forces.planned(t_us)
         if planned is not None:
             self._force, self._thrust = planned.force_W, planned.thrust
-        if leader.reference is not None and leader.phase in AIRBORNE:
+        if leader.reference is not None and leader.phase in PULLING:
             reference, active = leader.reference, leader.active
             k = None if self._rows is None else self._rows.row(t_us, reference, active)
             if self._rows is None or k is None:

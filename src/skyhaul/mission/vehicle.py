@@ -11,20 +11,30 @@ from skyhaul.control.api import VehicleCommand
 from skyhaul.control.failure import Rotor
 from skyhaul.geometry.kernels import quat_rotate
 from skyhaul.mission.api import Phase
-from skyhaul.mission.loss import makeshift_plan
+from skyhaul.mission.hearing import Hearing
+from skyhaul.mission.loss import makeshift_plan, plan_in_silence
 from skyhaul.mission.phases import spool_share
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.station import Route, Setpoint, route_along, station_point
 from skyhaul.mission.tracking import SharedTracking
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.plant.api import PLANT_STEP_US
-from skyhaul.types import US_PER_S, Array, TimeUs
+from skyhaul.types import US_PER_S, Array, Mask, TimeUs
 
 STATUS_PERIOD_US = 20_000
 """Time between two heartbeats of a vehicle [us]."""
 _DT_S = PLANT_STEP_US / US_PER_S
 _STATION_PHASES = (Phase.FLY_IN.value, Phase.TAUTEN.value)
+_RETREAT_PHASES = (Phase.ABORT.value, Phase.DOWN.value)
 _LIFT = Phase.LIFT.value
+
+
+class Makeshift(NamedTuple):
+    """What an agent flies by until the leader's next plan."""
+
+    of: PlanMessage  # the leader's last plan
+    faulty: frozenset[int]  # who was known to be lost when it was made
+    plan: PlanMessage
 
 
 class Actuation(NamedTuple):
@@ -76,13 +86,17 @@ class VehicleAgent:
         self.plan: PlanMessage | None = None
         self.order: Order | None = None
         self.faulty: frozenset[int] = frozenset()
+        self.chief: int | None = 0  # who leads, by what this vehicle hears
+        self._hearing = Hearing(index, stack.team.count)
         self._stack, self._bus = stack, bus
         self._tracking = tracking
         self._watch = stack.fault_watch.init()
-        self._makeshift: tuple[PlanMessage, PlanMessage] | None = None
+        self._makeshift: Makeshift | None = None
         self._route: Route | None = None
         self._creep_m = 0.0
         self._taut_s = 0.0
+        self._hooked = False  # its cable has been at the load
+        self._attach_s = 0.0  # how long it has tried to hook on
         self._thrust_cmd = 0.0
         arrays = stack.arrays
         ends = [station_point(stack.team, np.zeros(3), np.eye(3), index, s) for s in (0.0, 1.0)]
@@ -93,7 +107,8 @@ class VehicleAgent:
 
     def hear(self, t_us: TimeUs) -> list[Status]:
         """Take in what the others sent; returns their heartbeats, for whoever leads."""
-        statuses = []
+        statuses: list[Status] = []
+        faulty_before = self.faulty
         for envelope in self._bus.receive(self.index, t_us):
             match envelope.payload:
                 case PlanMessage() as plan:
@@ -106,8 +121,11 @@ class VehicleAgent:
                     self.faulty |= {fault.vehicle}
                 case Status() as status:
                     statuses.append(status)
+                    self._hearing.note(t_us, status)
                     if True in status.faulty.tolist():
                         self.faulty |= set(np.flatnonzero(status.faulty).tolist())
+        if statuses or self.faulty != faulty_before:
+            self._elect(t_us)
         return statuses
 
     def report(self, t_us: TimeUs, estimate: TeamEstimate) -> Status | None:
@@ -117,13 +135,17 @@ class VehicleAgent:
         next of them, from whichever vehicle knows of it.
         """
         i = self.index
-        reason = self._new_fault(estimate)
+        reason = self._new_fault(t_us, estimate)
         if reason is not None:
             self.faulty |= {i}
             self._route = None
+            self._elect(t_us)
             self._bus.publish(FAULT, i, t_us, Fault(t_us, i, reason))
         if t_us % STATUS_PERIOD_US:
             return None
+        heard = self._hearing.heard(t_us)
+        self._leave_out_the_silent(heard, estimate)
+        self._elect(t_us)
         status = Status(
             stamp_us=t_us,
             vehicle=i,
@@ -136,6 +158,7 @@ class VehicleAgent:
             station_in_s=self._station_in_s(),
             on_way_s=0.0 if self._route is None else self._route.progress_s,
             faulty=np.array([j in self.faulty for j in range(self._stack.team.count)]),
+            hears=heard,
             order_us=_stamp_us(self.order),
             plan_us=_stamp_us(self.plan),
         )
@@ -151,8 +174,10 @@ class VehicleAgent:
             act = self._idle()
         elif order.phase in _STATION_PHASES:
             act = self._to_station(estimate, retreat=order.retreat)
+        elif order.phase in _RETREAT_PHASES:
+            act = self._to_station(estimate, retreat=True)
         elif self.plan is not None:
-            plan = self._plan_without_the_lost(t_us, self.plan)
+            plan = self._plan_now(t_us, self.plan)
             act = self._carry(estimate, plan, self._share(t_us, order))
         elif self._route is not None:
             act = self._to_station(estimate, retreat=False)  # the plan is still on its way
@@ -161,28 +186,57 @@ class VehicleAgent:
         self._thrust_cmd = sum(act.rotor_cmd.tolist())
         return act
 
-    def _new_fault(self, estimate: TeamEstimate) -> str | None:
+    def _new_fault(self, t_us: TimeUs, estimate: TeamEstimate) -> str | None:
         """Why this vehicle can carry no longer, the first time it is seen; None otherwise."""
         i = self.index
         self._watch, weak = self._stack.fault_watch.step(
             self._watch, self._thrust_cmd, float(estimate.thrust[i]), self._rotor, _DT_S
         )
+        attached = bool(estimate.attached[i])
+        self._hooked |= attached or self.plan is not None
         if i in self.faulty:
             return None
         if weak:
             return "its rotors do not give the thrust asked for"
-        if self.plan is not None and not estimate.attached[i]:
+        if self._hooked and not attached:
             return "its cable is off the load"
+        if self._attach_s > self._stack.mission.station.attach_s:
+            return "its hook does not close on the load"
+        if self._led_elsewhere(t_us, estimate):
+            return "it hears nobody, and the load is led elsewhere"
         return None
 
-    def _plan_without_the_lost(self, t_us: TimeUs, plan: PlanMessage) -> PlanMessage:
-        """The leader's plan, unless it counts on a vehicle that is known to be faulty."""
-        if not self.faulty or not any(plan.plan.active[j] for j in self.faulty):
-            return plan
-        if self._makeshift is None or self._makeshift[0] is not plan:
+    def _elect(self, t_us: TimeUs) -> None:
+        self.chief = self._hearing.chief(t_us, self.faulty)
+
+    def _leave_out_the_silent(self, heard: Mask, estimate: TeamEstimate) -> None:
+        """A vehicle that is silent and off its cable cannot tell so: it counts as faulty."""
+        if self.plan is not None and not heard.all():
+            self.faulty |= set(np.flatnonzero(~heard & ~estimate.attached).tolist())
+
+    def _led_elsewhere(self, t_us: TimeUs, estimate: TeamEstimate) -> bool:
+        """Whether the load is off this vehicle's reference, and nobody is heard who says why."""
+        if self.plan is None or t_us % STATUS_PERIOD_US or not self._hearing.alone(t_us):
+            return False
+        planned = self.plan.reference.sample(np.array([t_us])).p_WD[0, 0]
+        off_m = float(np.linalg.norm(estimate.team.p_WL - planned))
+        return off_m > self._stack.mission.replan.tracking_m
+
+    def _plan_now(self, t_us: TimeUs, plan: PlanMessage) -> PlanMessage:
+        """The leader's plan, unless it is over or counts on a vehicle known to be faulty."""
+        made = self._makeshift
+        if made is not None and made.of is plan and made.faulty == self.faulty:
+            if t_us > made.plan.plan.end_us:
+                made = made._replace(plan=plan_in_silence(self._stack, made.plan, t_us))
+        elif self.faulty and any(plan.plan.active[j] for j in self.faulty):
             active = np.array([j not in self.faulty for j in range(self._stack.team.count)])
-            self._makeshift = (plan, makeshift_plan(self._stack, plan, t_us, active))
-        return self._makeshift[1]
+            made = Makeshift(plan, self.faulty, makeshift_plan(self._stack, plan, t_us, active))
+        elif t_us > plan.plan.end_us:
+            made = Makeshift(plan, self.faulty, plan_in_silence(self._stack, plan, t_us))
+        else:
+            return plan
+        self._makeshift = made
+        return made.plan
 
     def _share(self, t_us: TimeUs, order: Order) -> float:
         """Share of the planned forces to pull with: all but at the beginning of the lift."""
@@ -209,6 +263,7 @@ class VehicleAgent:
         if self._arrived():
             target = self._creep(estimate)
             attach = not estimate.attached[self.index]
+            self._attach_s = self._attach_s + _DT_S if attach else 0.0
         return self._fly_free(estimate, target, attach=attach)
 
     def _way_in(self, estimate: TeamEstimate) -> Array:

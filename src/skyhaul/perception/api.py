@@ -6,10 +6,11 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from skyhaul.geometry.shapes import Shape
 from skyhaul.model.state import CableState, TeamState
-from skyhaul.sensors.api import ObjectsReading, TeamReading
+from skyhaul.sensors.api import ObjectsReading
 from skyhaul.types import Array, IntArray, Mask, TimeUs, frozen
 
 Memory = TypeVar("Memory")
+Reading = TypeVar("Reading", contravariant=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +85,18 @@ class ObstacleEstimate:
     tracks: tuple[Track, ...]  # confirmed and alive
 
 
-class TeamEstimator(Protocol[Memory]):
-    """Readings -> the team's state. Stateful through an explicit memory."""
+class TeamEstimator(Protocol[Memory, Reading]):
+    """Readings -> the team's state. Stateful through an explicit memory.
+
+    `kind: truth` takes a `sensors.api.TeamReading`, estimators on real sensors take
+    `team.api.TeamReports`.
+    """
 
     def init(self) -> Memory:
         """Memory before the first reading."""
         ...
 
-    def step(self, memory: Memory, reading: TeamReading) -> tuple[Memory, TeamEstimate]:
+    def step(self, memory: Memory, reading: Reading) -> tuple[Memory, TeamEstimate]:
         """Take one reading in."""
         ...
 

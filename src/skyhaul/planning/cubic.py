@@ -3,10 +3,9 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from skyhaul.mapping.api import WorldMap
 from skyhaul.model.envelope import TeamShape
@@ -29,13 +28,16 @@ from skyhaul.planning.verify import verify
 from skyhaul.types import US_PER_S, Array, TimeUs
 from skyhaul.world.scenario import Limits
 
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline  # slow to import, and few flights need it
+
 
 @dataclass(frozen=True, eq=False)
 class CubicReference:
     """Piecewise cubic, C2 inside; its jerk jumps at the waypoints and higher derivatives are 0."""
 
     start_us: TimeUs
-    spline: CubicSpline  # of time after the start [s]
+    spline: "CubicSpline"  # of time after the start [s]
     yaw_rad: float
 
     @property
@@ -168,11 +170,13 @@ def _within(reference: CubicReference, limits: Limits) -> bool:
     return fast and reference.max_acceleration_mps2() <= 1.5 * limits.a_max_mps2
 
 
-def timed_cubic(points: Array, v_WS: Array, drive: Drive, spacing_m: float) -> CubicSpline:
+def timed_cubic(points: Array, v_WS: Array, drive: Drive, spacing_m: float) -> "CubicSpline":
     """Cubic spline through points of a path, reached at the times of the speed profile.
 
     Clamped: it begins with velocity v_WS, (3,), and ends at rest.
     """
+    from scipy.interpolate import CubicSpline
+
     run = run_along(points, float(np.linalg.norm(v_WS)), drive)
     if run.way[-1] < 1e-6:
         hold = np.repeat(run.points[:1], 2, axis=0)

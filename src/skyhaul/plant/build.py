@@ -32,6 +32,10 @@ NOWHERE = (0.0, 0.0, -1e3)
 """Place of obstacles that are not there yet [m]."""
 TEAM_BIT, WORLD_BIT = 1, 2
 
+_OFF = mujoco.mjtDisableBit
+_NOT_NEEDED = (_OFF.mjDSBL_AUTORESET, _OFF.mjDSBL_MIDPHASE)
+"""A divergence shall be seen; and no body has many geoms."""
+
 _GEOM = {
     SPHERE: mujoco.mjtGeom.mjGEOM_SPHERE,
     BOX: mujoco.mjtGeom.mjGEOM_BOX,
@@ -52,7 +56,8 @@ def build_model(
     spec.option.timestep = PLANT_STEP_US / US_PER_S
     spec.option.gravity = (0.0, 0.0, -GRAVITY_MPS2)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    for flag in _NOT_NEEDED:
+        spec.option.disableflags |= int(flag)
     _add_room(spec, room)
     _add_payload(spec, team)
     for i in range(team.count):

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the true state to the estimate of the team, by the kind of estimator."""
+
+from dataclasses import replace
+from typing import Protocol
+
+from skyhaul.mission.config import RunConfig
+from skyhaul.perception.api import TeamEstimate
+from skyhaul.perception.team.api import SurveyedTeam, TagSight, TeamReports, VehicleReport
+from skyhaul.perception.team.fused import FusedTeam
+from skyhaul.perception.team.tag import tag_finder
+from skyhaul.perception.team.truth import TruthTeam
+from skyhaul.plant.api import Truth
+
+
+class TeamSensing(Protocol):
+    """Sensors and estimator of the team in a flight. Stateful: there is one of it."""
+
+    def estimate(self, truth: Truth) -> TeamEstimate:
+        """The estimate now; called at every step of the plant."""
+        ...
+
+
+class PerfectSensing:
+    """Perfect sensors."""
+
+    def __init__(self, config: RunConfig, estimator: TruthTeam) -> None:
+        self._sensors, self._estimator = config.sensors.team, estimator
+        self._memory = estimator.init()
+
+    def estimate(self, truth: Truth) -> TeamEstimate:
+        """See `TeamSensing.estimate`."""
+        self._memory, estimate = self._estimator.step(self._memory, self._sensors.read(truth))
+        return estimate
+
+
+class FusedSensing:
+    """IMUs, down cameras and modelled odometry; hooks and rotors tell what they do exactly."""
+
+    def __init__(self, config: RunConfig, kind: FusedTeam, seed: int, truth: Truth) -> None:
+        sensors, team = config.sensors, config.team
+        tag, n = sensors.tag(team), config.team.count
+        assert tag is not None, "checked with the configuration"
+        down = tuple(c for c in sensors.rig.cameras if c.name == "down")
+        seeing = replace(sensors, rig=replace(sensors.rig, cameras=down, event_camera=None))
+        self._read = sensors.team
+        self._suite = seeing.team_suite(team, config.world)
+        self._sensors = self._suite.init(seed)
+        self._finder = tag_finder(tag)
+        self._last: list[TagSight | None] = [None] * n
+        self._imu = sensors.imu.calibration()
+        self._model = config.perception.odometry
+        self._odometry = [self._model.init(seed, i, n) for i in range(n)]
+        t = truth.team
+        start = SurveyedTeam(t.p_WL.copy(), t.q_WL.copy(), t.p_WB.copy(), t.q_WB.copy())
+        load_imu = sensors.payload_imu.calibration()
+        self._estimator = kind.build(team, seeing.calibration(), load_imu, tag, start)
+        self._memory = self._estimator.init()
+
+    def estimate(self, truth: Truth) -> TeamEstimate:
+        """See `TeamSensing.estimate`."""
+        self._sensors, payload, readings = self._suite.step(self._sensors, truth)
+        bias, known, vehicles = self._sensors.imus.bias, self._read.read(truth), []
+        for i, reading in enumerate(readings):
+            self._odometry[i], vio = self._model.step(
+                self._odometry[i], truth, self._imu, bias[1 + i]
+            )
+            tag = None
+            for frame in reading.frames:
+                tag = self._last[i] = self._finder.find(frame, self._last[i])
+            thrust, attached = float(known.thrust[i]), bool(known.attached[i])
+            vehicles.append(VehicleReport(reading.imu, vio, tag, thrust, attached))
+        reports = TeamReports(truth.stamp_us, tuple(vehicles), payload.imu)
+        self._memory, estimate = self._estimator.step(self._memory, reports)
+        return estimate
+
+
+def team_sensing(config: RunConfig, seed: int, truth: Truth) -> TeamSensing:
+    """What the configuration asks for."""
+    match config.perception.team:
+        case FusedTeam() as kind:
+            return FusedSensing(config, kind, seed, truth)
+        case TruthTeam() as exact:
+            return PerfectSensing(config, exact)
