@@ -16,6 +16,43 @@ from skyhaul.world.scenario import STACK_KEYS, Scenario
 PAPER = yaml.safe_load((resources.files("skyhaul.world") / "scenarios/paper.yaml").read_text())
 
 
+@pytest.mark.parametrize(
+    ("entry", "sentence"),
+    [
+        ("mission.spool_s=0", "mission: spool_s must be > 0, got 0"),
+        ("mission.lift_m=-1", "mission: lift_m must be > 0, got -1"),
+        ("mission.recovery_s=-1", "mission: recovery_s must be >= 0, got -1"),
+        ("mission.clear_of_floor_m=5", "mission: clear_of_floor_m must be < lift_m = 0.5, got 5"),
+        ("mission.trigger.sqp_iterations=0", "mission.trigger: sqp_iterations must be >= 1, got 0"),
+        ("mission.trigger.dwell_s=-1", "mission.trigger: dwell_s must be >= 0, got -1"),
+        ("mission.trigger.near_m=-1", "mission.trigger: near_m must be >= 0, got -1"),
+        (
+            "mission.trigger={kind: periodic, sqp_iterations: -3}",
+            "mission.trigger: sqp_iterations must be >= 1, got -3",
+        ),
+        (
+            "mission.trigger={kind: periodic-feedback, sqp_iterations: 0}",
+            "mission.trigger: sqp_iterations must be >= 1, got 0",
+        ),
+        ("mission.station.settle_s=-1", "mission.station: settle_s must be >= 0, got -1"),
+        (
+            "mission.station.creep_max_share=-1",
+            "mission.station: creep_max_share must lie in (0, 1], got -1",
+        ),
+        (
+            "mission.station.cruise_height_m=0",
+            "mission.station: cruise_height_m must be > 0, got 0",
+        ),
+        ("mission.replan.dwell_s=-1", "mission.replan: dwell_s must be >= 0, got -1"),
+        ("mission.replan.urgent_s=-1", "mission.replan: urgent_s must be >= 0, got -1"),
+    ],
+)
+def test_a_value_out_of_range_is_refused_with_its_key(entry, sentence):
+    with pytest.raises(ConfigError) as refused:
+        load_config(RunConfig, "hover", [entry])
+    assert str(refused.value).startswith(f"hover: {sentence}")
+
+
 def test_the_keys_of_the_stack_are_those_that_a_flight_adds_to_a_scenario():
     flight, scenario = ({f.name for f in dataclasses.fields(c)} for c in (RunConfig, Scenario))
     assert set(STACK_KEYS) == flight - scenario

@@ -63,6 +63,17 @@ def test_two_steps_are_one_step_of_twice_the_length():
     np.testing.assert_allclose(once.spread @ once.spread.T, F @ Q @ F.T + Q, atol=1e-13)
 
 
+@pytest.mark.parametrize("length_m", [0.5, 5.0, 533.0, 1e9])
+def test_the_turbulence_is_stationary_at_every_length_scale(length_m):
+    """Phi Phi^T + noise is I; for small steps h the first state is driven by 4/3 h^3."""
+    model = wind_model(Wind(turbulence_mps=1.0, length_scale_m=length_m), 0.002)
+    F, S = model.transition, model.spread
+    np.testing.assert_allclose(F @ F.T + S @ S.T, np.eye(2), atol=1e-15)
+    h = 0.002 / length_m
+    np.testing.assert_allclose(S[0, 0] ** 2, 4.0 / 3.0 * h**3 * (1.0 - 1.5 * h), rtol=1e-4)
+    np.testing.assert_allclose(S[1, 1] ** 2, h, rtol=5e-2)
+
+
 def test_a_gust_rises_to_its_peak_and_dies():
     gust = Gust(start_s=1.0, duration_s=2.0, peak_mps=(4.0, 0.0, -1.0))
     model = wind_model(Wind(mean_mps=(1.0, 0.0, 0.0), gusts=(gust,)), 0.002)

@@ -27,6 +27,18 @@ def test_hover_thrusts_balance_the_weight_and_the_cable_angle() -> None:
     assert 5 * (up[0] - arrays.m_B[0] * arrays.g) == pytest.approx(arrays.m_L * arrays.g)
 
 
+def test_the_largest_accelerations_take_the_whole_thrust() -> None:
+    """Straight up, and level, all forces of the hovering formation turned into g + a."""
+    team = load_config(Scenario, "paper").team
+    arrays, g = team.arrays(), team.arrays().g
+    most = {"a_max_mps2": 3.90, "a_brake_mps2": 9.58}
+    for name, a in most.items():
+        total = np.array([0.0, 0.0, g + a]) if name == "a_max_mps2" else np.array([a, 0.0, g])
+        thrust = hover_thrusts(team).max() * np.linalg.norm(total) / g
+        assert thrust == pytest.approx(arrays.thrust_max[0], rel=2e-3)
+        assert load_config(Scenario, "paper", [f"limits.{name}={a - 0.01}"])
+
+
 @pytest.mark.parametrize(
     ("overrides", "part"),
     [
@@ -40,6 +52,13 @@ def test_hover_thrusts_balance_the_weight_and_the_cable_angle() -> None:
         (["world.map.origin_m=[50, 0, 0]"], "the map and the room do not overlap"),
         (["world.obstacles[1].name=cube 1"], "'cube 1' is the name of obstacle 0 already"),
         (["team.payload.mass_kg=2"], "team: vehicle 0 needs"),
+        (
+            ["limits.v_max_mps=50", "limits.a_max_mps2=60", "limits.j_max_mps3=500"],
+            "limits.a_max_mps2: must be <= 3.90 m/s^2, got 60.0: vehicle 0 needs 72% of its thrust",
+        ),
+        (["task.kind=hover", "limits.a_max_mps2=10"], "limits.a_max_mps2: must be <= 9.58 m/s^2"),
+        (["limits.a_brake_mps2=10"], "limits.a_brake_mps2: must be <= 9.58 m/s^2, got 10"),
+        (["limits.v_max_mps=200"], "limits.v_max_mps: must be <= 84.65 m/s, got 200"),
         (["team.cable_length_m=0.2"], "is too short for 4 vehicles 0.5 m apart"),
         (["team.cable_length_m=0.55"], "vehicle 0 stands 0.57 m from its hook"),
         (["start.vehicles_m[1]=[0.1, 0]"], "vehicles 0 and 1 stand 0.10 m apart"),

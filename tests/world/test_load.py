@@ -194,6 +194,31 @@ def test_a_misspelt_key_deep_in_a_list_is_named_with_its_path(tmp_path: Path) ->
         ("time_limit_s: 0", "time_limit_s must be > 0, got 0"),
         ("events: [{kind: vehicle-dies, vehicle: 1}]", "give exactly one of at_s and at_progress"),
         ("1: 2", "1: unknown key"),
+        ("team: {separation_m: -1}", "team: separation_m must be > 0, got -1"),
+        ("team: {cable_radius_m: -0.5}", "team: cable_radius_m must be > 0, got -0.5"),
+        ("team: {tension_min_n: -5}", "team: tension_min_n must be >= 0, got -5"),
+        ("team: {payload: {drag_ns_per_m: -3}}", "team.payload: drag_ns_per_m must be >= 0, got"),
+        (
+            "team: {payload: {kind: point, drag_ns_per_m: -3}}",
+            "team.payload: drag_ns_per_m must be >= 0, got -3",
+        ),
+        (
+            "team: {overrides: [{index: 1}, {index: 0}, {index: 1}]}",
+            "team: overrides[2]: vehicle 1 stands twice; give it one entry",
+        ),
+        (
+            "team: {overrides: [{index: 3, mass_kg: 0}]}",
+            "team: overrides[0].mass_kg must be > 0, got 0",
+        ),
+        (
+            "world: {map: {voxel_m: 0.001}}",
+            "world.map: voxel_m = 0.001 makes 2.55e+12 voxels, which take 8.15e+04 GB of memory; "
+            "at most 1e+08 are allowed: enlarge the voxels",
+        ),
+        (
+            "world: {map: {window_m: [2, 2, 2], coarse_voxel_m: 0.01, voxel_m: 0.01}}",
+            "world.map: voxel_m = 0.01 makes 2.56e+09 voxels",
+        ),
         ("extends: 5", "extends: must name one scenario or file, got 5"),
         ("extends: papers", "papers: no such scenario or file; did you mean 'paper'?"),
     ],

@@ -54,6 +54,17 @@ class MissionConfig(Params):
     spool_s: float = 0.4
     """Time in which the cable forces grow to the weight of the load [s]."""
 
+    def __post_init__(self) -> None:
+        for name in ("lift_m", "clear_of_floor_m", "spool_s"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
+        if not self.recovery_s >= 0.0:
+            raise ValueError(f"recovery_s must be >= 0, got {self.recovery_s}")
+        if not self.clear_of_floor_m < self.lift_m:
+            raise ValueError(
+                f"clear_of_floor_m must be < lift_m = {self.lift_m}, got {self.clear_of_floor_m}"
+            )
+
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig(Scenario):

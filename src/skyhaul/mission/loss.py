@@ -66,7 +66,7 @@ def plan_in_silence(stack: Stack, message: PlanMessage, t_us: TimeUs) -> PlanMes
     return replace(message, plan=plan)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def rest_after_loss(team: Team, active: tuple[bool, ...]) -> Equilibrium:
     """`equilibrium_after_loss`, searched once."""
     return equilibrium_after_loss(team, np.array(active))

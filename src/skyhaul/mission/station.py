@@ -64,9 +64,16 @@ class StationParams(Params):
     """How far a vehicle without a cable flies off [m]."""
 
     def __post_init__(self) -> None:
-        for name in ("speed_mps", "creep_mps", "taut_n", "attach_s", "turn_s", "clear_m"):
+        for name in (
+            *("speed_mps", "creep_mps", "taut_n", "attach_s", "turn_s"),
+            *("cruise_height_m", "clear_m"),
+        ):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
+        if not self.settle_s >= 0.0:
+            raise ValueError(f"settle_s must be >= 0, got {self.settle_s}")
+        if not 0.0 < self.creep_max_share <= 1.0:
+            raise ValueError(f"creep_max_share must lie in (0, 1], got {self.creep_max_share}")
         if not 0.5 <= self.slack_share < 1.0:
             raise ValueError(f"slack_share must lie in [0.5, 1), got {self.slack_share}")
 

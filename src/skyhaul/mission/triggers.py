@@ -80,6 +80,10 @@ class EventTrigger(Params):
         for name in ("max_age_s", "max_age_near_s"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
+        for name in ("near_m", "dwell_s"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} must be >= 0, got {getattr(self, name)}")
+        _check_iterations(self.sqp_iterations)
 
     def cause(self, view: SolveView) -> str | None:
         """Why to solve now, or None."""
@@ -112,6 +116,7 @@ class PeriodicTrigger(Params):
     def __post_init__(self) -> None:
         if not self.rate_hz > 0.0:
             raise ValueError(f"rate_hz must be > 0, got {self.rate_hz}")
+        _check_iterations(self.sqp_iterations)
 
     def cause(self, view: SolveView) -> str | None:
         """Why to solve now, or None."""
@@ -135,10 +140,16 @@ class PeriodicFeedbackTrigger(Params):
     def __post_init__(self) -> None:
         if not self.rate_hz > 0.0:
             raise ValueError(f"rate_hz must be > 0, got {self.rate_hz}")
+        _check_iterations(self.sqp_iterations)
 
     def cause(self, view: SolveView) -> str | None:
         """Why to solve now, or None."""
         return _periodic_cause(self.rate_hz, view)
+
+
+def _check_iterations(count: int) -> None:
+    if count < 1:
+        raise ValueError(f"sqp_iterations must be >= 1, got {count}")
 
 
 SolveTrigger = EventTrigger | PeriodicTrigger | PeriodicFeedbackTrigger
@@ -177,6 +188,9 @@ class ReplanTriggers(Params):
         for name in ("horizon_s", "step_s", "retry_s", "better_period_s", "tracking_m"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
+        for name in ("dwell_s", "urgent_s"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} must be >= 0, got {getattr(self, name)}")
         if not 0.0 <= self.better_share < 1.0:
             raise ValueError(f"better_share must lie in [0, 1), got {self.better_share}")
 

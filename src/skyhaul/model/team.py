@@ -83,6 +83,7 @@ class RigidPayload(Params):
 
     def __post_init__(self) -> None:
         _check_positive(self.mass_kg, "mass_kg")
+        _check_not_negative(self.drag_ns_per_m, "drag_ns_per_m")
         _check_positive(min(self.size_m), "size_m")
         _check_positive(self.hook_radius_m, "hook_radius_m")
         if self.inertia_kgm2 is not None:
@@ -111,6 +112,7 @@ class PointPayload(Params):
 
     def __post_init__(self) -> None:
         _check_positive(self.mass_kg, "mass_kg")
+        _check_not_negative(self.drag_ns_per_m, "drag_ns_per_m")
         _check_positive(self.radius_m, "radius_m")
 
 
@@ -159,7 +161,9 @@ class Team(Params):
     def __post_init__(self) -> None:
         if not 1 <= self.count <= 8:
             raise ValueError(f"count must lie in 1..8, got {self.count}")
-        _check_positive(self.cable_length_m, "cable_length_m")
+        for name in ("cable_length_m", "cable_radius_m", "separation_m"):
+            _check_positive(getattr(self, name), name)
+        _check_not_negative(self.tension_min_n, "tension_min_n")
         for name in ("azimuths_deg", "hooks_m"):
             rows = getattr(self, name)
             if rows is not None and len(rows) != self.count:
@@ -167,13 +171,7 @@ class Team(Params):
                     f"{name} has {len(rows)} entries for count = {self.count} vehicles; "
                     "give one each, or leave it out"
                 )
-        for o in self.overrides:
-            if not 0 <= o.index < self.count:
-                raise ValueError(f"overrides: index must lie in 0..{self.count - 1}, got {o.index}")
-            for name in ("mass_kg", "thrust_max_n", "cable_length_m"):
-                value = getattr(o, name)
-                if value is not None:
-                    _check_positive(value, f"overrides[{o.index}].{name}")
+        _check_overrides(self.overrides, self.count)
         if not 0.0 <= self.cable_angle_deg < 70.0:
             raise ValueError(f"cable_angle_deg must lie in [0, 70), got {self.cable_angle_deg}")
         if self.count > 1 and self._needed_sine() > math.sin(math.radians(70.0)):
@@ -278,6 +276,23 @@ class TeamArrays(NamedTuple):
     motor_lag: float  # [s]
     tension_min: float  # [N]
     g: float  # [m/s^2]
+
+
+def _check_overrides(overrides: tuple[VehicleOverride, ...], count: int) -> None:
+    for k, o in enumerate(overrides):
+        if not 0 <= o.index < count:
+            raise ValueError(f"overrides[{k}]: index must lie in 0..{count - 1}, got {o.index}")
+        if o.index in (other.index for other in overrides[:k]):
+            raise ValueError(f"overrides[{k}]: vehicle {o.index} stands twice; give it one entry")
+        for name in ("mass_kg", "thrust_max_n", "cable_length_m"):
+            value = getattr(o, name)
+            if value is not None:
+                _check_positive(value, f"overrides[{k}].{name}")
+
+
+def _check_not_negative(value: float, name: str) -> None:
+    if not value >= 0.0:
+        raise ValueError(f"{name} must be >= 0, got {value}")
 
 
 def _check_positive(value: float, name: str) -> None:

@@ -5,6 +5,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import gammainc
 
 from skyhaul.types import Array
 from skyhaul.world.scenario import Wind
@@ -77,14 +78,25 @@ def wind_model(wind: Wind, dt: float) -> WindModel:
     mean = np.array(wind.mean_mps, dtype=np.float64)
     h = dt * max(float(np.linalg.norm(mean)), SLOWEST_MPS) / wind.length_scale_m
     transition = math.exp(-h) * np.array([[1.0 + h, h], [-h, 1.0 - h]])
-    noise = np.eye(2) - transition @ transition.T
     return WindModel(
         wind=wind,
         R_WU=_axes(mean),
         decay=math.exp(-h),
         transition=transition,
-        spread=np.asarray(np.linalg.cholesky(noise), dtype=np.float64),
+        spread=_spread(h),
     )
+
+
+def _spread(h: float) -> Array:
+    """Cholesky factor of I - Phi Phi^T, (2, 2), without the cancellation for small steps h.
+
+    I - Phi Phi^T = [[P, 2 h^2 e], [2 h^2 e, P + 4 h e]] with e = exp(-2 h), and P, the regularised
+    lower incomplete gamma function P(3, 2 h), is 1 - (1 + 2 h + 2 h^2) e.
+    """
+    e, first = math.exp(-2.0 * h), float(gammainc(3.0, 2.0 * h))
+    across = 2.0 * h * h * e / math.sqrt(first)
+    rest = math.sqrt(max(first + 4.0 * h * e - across * across, 0.0))
+    return np.array([[math.sqrt(first), 0.0], [across, rest]])
 
 
 def _axes(mean: Array) -> Array:

@@ -30,6 +30,7 @@ def check_scenario(scenario: Scenario) -> None:
         ConfigError: With one sentence that begins with the key at fault.
     """
     _check_team(scenario.team)
+    _check_limits(scenario)
     _check_names(scenario.world.obstacles)
     _check_map(scenario)
     if isinstance(scenario.start, AirStart):
@@ -89,6 +90,33 @@ def _check_team(team: Team) -> None:
     if team.payload.kind == "rigid":
         hooks = team.hooks_L()
         _check_gap("team.hooks_m", "hooks", np.arctan2(hooks[:, 1], hooks[:, 0]))
+
+
+def _check_limits(scenario: Scenario) -> None:
+    """Refuse a motion of the load that the thrust cannot give.
+
+    With the formation at rest around the load, an acceleration a changes g into g + a in all
+    forces: level, as in laps, to sqrt(g^2 + a^2), and straight up, as on the way to a goal, to
+    g + a. Braking and drag are level.
+    """
+    team, limits, arrays = scenario.team, scenario.limits, scenario.team.arrays()
+    hover, most = hover_thrusts(team), arrays.thrust_max
+    i = int(np.argmax(hover / most))
+    share, level = float(hover[i] / most[i]), float(np.sqrt(most[i] ** 2 - hover[i] ** 2))
+    drag = team.vehicle.drag_ns_per_m + team.payload.drag_ns_per_m / team.count
+    up_mps2, level_mps2 = arrays.g * (1.0 / share - 1.0), arrays.g * level / float(hover[i])
+    bounds = {
+        "v_max_mps": (level / drag if drag > 0.0 else math.inf, "m/s"),
+        "a_max_mps2": (up_mps2 if isinstance(scenario.task, GoTo) else level_mps2, "m/s^2"),
+        "a_brake_mps2": (level_mps2, "m/s^2"),
+    }
+    for name, (bound, unit) in bounds.items():
+        wanted = getattr(limits, name)
+        if wanted > bound:
+            raise ConfigError(
+                f"limits.{name}: must be <= {bound:.2f} {unit}, got {wanted}: vehicle {i} needs "
+                f"{share:.0%} of its thrust to hover, and the rest gives no more"
+            )
 
 
 def _check_gap(key: str, what: str, azimuths_rad: Array) -> None:

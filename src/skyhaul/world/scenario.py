@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scenario: everything that is given before the flight."""
 
+import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Literal
@@ -9,6 +10,11 @@ from skyhaul.model.team import Team
 from skyhaul.params import Params
 from skyhaul.types import Vec3
 from skyhaul.world.obstacles import Obstacle
+
+VOXELS_MAX = 100_000_000
+"""Most voxels of a map."""
+VOXEL_BYTES = 32
+"""Memory for a voxel: the map, its copy while it is redrawn, the path search [byte]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +42,18 @@ class MapFrame(Params):
         if self.coarse_voxel_m is not None and self.coarse_voxel_m < self.voxel_m:
             raise ValueError(
                 f"coarse_voxel_m must be >= voxel_m = {self.voxel_m}, got {self.coarse_voxel_m}"
+            )
+        self._check_memory()
+
+    def _check_memory(self) -> None:
+        count = math.prod(s / self.voxel_m for s in self.window_m or self.size_m)
+        if self.coarse_voxel_m is not None:
+            count += math.prod(s / self.coarse_voxel_m for s in self.size_m)
+        if count > VOXELS_MAX:
+            raise ValueError(
+                f"voxel_m = {self.voxel_m} makes {count:.3g} voxels, which take "
+                f"{count * VOXEL_BYTES / 1e9:.3g} GB of memory; at most {VOXELS_MAX:.3g} are "
+                "allowed: enlarge the voxels, make the map smaller or give it a window_m"
             )
 
 

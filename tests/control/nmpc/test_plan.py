@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from skyhaul.control.nmpc import Nmpc
-from skyhaul.control.nmpc.controller import _model
 from skyhaul.control.nmpc.forces import make_scratch
 from skyhaul.control.nmpc.plan import force_plan
 from skyhaul.control.nmpc.riccati import rotation_gains
@@ -36,7 +35,7 @@ def nodding_reference(t, loop):
 def flat_plan(team, loop):
     """The plan of the flat motion, sampled at the nodes, and the flat outputs there."""
     controller = Nmpc(step_s=(0.01,) * 20).build(team, Limits())
-    model = _model(controller, (True,) * team.count)
+    model = controller.model((True,) * team.count)
     t = 0.01 * np.arange(21)
     p, R = nodding_reference(t, loop)
     if team.payload.kind == "point":

@@ -6,7 +6,6 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from skyhaul.control.nmpc import Nmpc
-from skyhaul.control.nmpc.controller import _model
 from skyhaul.control.nmpc.plan import make_feedback
 from skyhaul.control.nmpc.riccati import RICCATI_STEP_S, rotation_gains, translation_gains
 from skyhaul.model import Team, hover_forces, load_derivative
@@ -14,7 +13,7 @@ from skyhaul.world.scenario import Limits
 
 TEAM = Team()
 CONTROLLER = Nmpc().build(TEAM, Limits())
-MODEL = _model(CONTROLLER, (True,) * 4)
+MODEL = CONTROLLER.model((True,) * 4)
 FEEDBACK = CONTROLLER.settings.feedback
 
 

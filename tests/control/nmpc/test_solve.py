@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One solve: optimality, limits, reference forces, warm start, plans."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -265,6 +267,16 @@ def test_limits_of_speed_come_from_the_scenario(loop):
     memory, _ = slow.solve(slow.init(), request)
     _, solution = slow.solve(memory, request)
     assert np.linalg.norm(solution.plan.load[:, 7:10], axis=1).max() < 0.75
+
+
+def test_a_controller_is_let_go_after_its_last_use(limits, loop):
+    controller = Nmpc().build(TEAM, limits)
+    request = make_request(TEAM, loop.Rest(), loop.empty_world(TEAM), sqp_iterations=1)
+    controller.solve(controller.init(), request)
+    used = weakref.ref(controller)
+    del controller
+    gc.collect()
+    assert used() is None
 
 
 def test_iterations_end_with_a_small_step_and_the_plan_is_that_of_all_of_them(limits, loop):

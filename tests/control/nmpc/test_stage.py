@@ -6,7 +6,6 @@ import pytest
 
 from skyhaul.control.api import ControlRequest
 from skyhaul.control.nmpc import Nmpc, WrenchNmpc
-from skyhaul.control.nmpc.controller import _model
 from skyhaul.control.nmpc.forces import cable_forces, make_scratch
 from skyhaul.control.nmpc.handover import starting_point
 from skyhaul.control.nmpc.sqp import apply_step
@@ -41,7 +40,7 @@ class Case:
             reference=loop.Eight(),
             world_map=None,
         )
-        self.model = _model(self.controller, tuple(active))
+        self.model = self.controller.model(tuple(active))
         origin = starting_point(None, request)
         z0, u_now = self.controller._controlled(origin)
         self.problem = self.controller._problem(self.model, request, u_now)
@@ -183,7 +182,7 @@ def test_a_lost_cable_neither_moves_nor_counts(loop):
 @every_team
 def test_shares_of_a_wrench_give_it(team):
     """Z = 0: whatever the attitude, the cables together give z = [F; M]."""
-    model = _model(WrenchNmpc().build(team, Limits()), (True,) * team.count)
+    model = WrenchNmpc().build(team, Limits()).model((True,) * team.count)
     mem, rng = make_scratch(team.count, 6), np.random.default_rng(1)
     R = quat_to_R(quat_exp(rng.normal(size=3))) if team.payload.kind == "rigid" else np.eye(3)
     z = np.array([0.3, -0.2, 2.0, 0.02, -0.01, 0.015])

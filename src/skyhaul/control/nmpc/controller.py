@@ -2,8 +2,7 @@
 """The payload NMPC: real-time iterations along the reference, and what to fly when they fail."""
 
 import time
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from skyhaul.geometry.quaternion import R_to_quat, quat_to_R
 from skyhaul.geometry.so3 import rotation_z
 from skyhaul.model.formation import formation, formation_forces, hover_attitude
 from skyhaul.model.team import Team
-from skyhaul.types import LOAD_P, LOAD_Q, LOAD_W, US_PER_S, Array, TimeUs
+from skyhaul.types import LOAD_P, LOAD_Q, LOAD_W, US_PER_S, Array, Mask, TimeUs
 
 FIRST_ITERATIONS = 10
 """SQP iterations of a solve without an iterate to start from."""
@@ -69,6 +68,8 @@ class PayloadNmpc:
     team: Team
     controlled: Controlled
     settings: Settings
+    _models: dict[tuple[bool, ...], Model] = field(default_factory=dict, init=False, repr=False)
+    """Each model, by the cables that carry, is made once."""
 
     def init(self) -> NmpcMemory:
         """See `PayloadController`."""
@@ -83,7 +84,7 @@ class PayloadNmpc:
     def solve(self, memory: NmpcMemory, request: ControlRequest) -> tuple[NmpcMemory, Solution]:
         """See `PayloadController`."""
         began = time.perf_counter()
-        model = _model(self, tuple(bool(a) for a in request.active))
+        model = self.model(tuple(bool(a) for a in request.active))
         origin = starting_point(memory.plan, request)
         z0, u_now = self._controlled(origin)
         problem = self._problem(model, request, u_now)
@@ -105,6 +106,12 @@ class PayloadNmpc:
             slack_m=result.slack_m,
             wall_ms=1e3 * (time.perf_counter() - began),
         )
+
+    def model(self, active: tuple[bool, ...]) -> Model:
+        """The model for one set of cables that carry."""
+        if active not in self._models:
+            self._models[active] = _make_model(self, np.array(active))
+        return self._models[active]
 
     def _first(self, model: Model, problem: Problem, origin: Start, z0: Array) -> Iterate:
         """A guess without an iterate to start from."""
@@ -198,10 +205,8 @@ def _hover_rotation(team: Team, request: ControlRequest) -> Array:
     return rotation_z(np.arctan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1])) @ level
 
 
-@lru_cache(maxsize=64)
-def _model(controller: PayloadNmpc, active: tuple[bool, ...]) -> Model:
-    """The model for one set of cables that carry; it is made once."""
-    mask = np.array(active)
+def _make_model(controller: PayloadNmpc, mask: Mask) -> Model:
+    """The model for one set of cables that carry, (n,)."""
     s, team = controller.settings, controller.team
     scale = controller.controlled.scale(team, mask)
     stage = s.stage._replace(
