@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyhaul.mission.api import Outcome, Phase, Recorder
+from skyhaul.mission.check import check_flight
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.crew import Crew
 from skyhaul.mission.judge import FLYING_ON, Judge, Verdict
@@ -54,7 +55,11 @@ def fly(
 
     Returns:
         How it ended. An interrupt ends the flight without success; it is not passed on.
+
+    Raises:
+        ConfigError: When the stack cannot fly the scenario; see `check_flight`.
     """
+    check_flight(config)
     flight = Flight(config, seed, recorder)
     verdict = Verdict(over=True, success=False, reason="broken off by a fault of the program")
     try:

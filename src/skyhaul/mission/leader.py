@@ -10,7 +10,7 @@ from skyhaul.comms.messages import ORDER, PLAN, Order, PlanMessage, Status
 from skyhaul.control.api import ForcePlan
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.mapping.api import MapChange, WorldMap
-from skyhaul.mission.api import PULLING, Phase, Recorder, Replan, Trigger
+from skyhaul.mission.api import LIFTED_M, PULLING, Phase, Recorder, Replan, Trigger
 from skyhaul.mission.forces import ForcePlanning
 from skyhaul.mission.hearing import SILENT_US
 from skyhaul.mission.latency import Pending
@@ -18,7 +18,7 @@ from skyhaul.mission.loss import reference_after_loss, rest_after_loss
 from skyhaul.mission.phases import LeaderView, lifts_level, next_phase, spool_plan
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.stopwatch import Stopwatch
-from skyhaul.mission.take_off import is_clear, predict
+from skyhaul.mission.take_off import is_clear, predict, without_statics
 from skyhaul.mission.triggers import ReplanView, predicted_clearance, replan_cause
 from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
 from skyhaul.planning.api import Reference, ReferencePlan, ReferenceStatus
@@ -310,8 +310,11 @@ class Leader:
         """Solve for new cable forces along the reference."""
         assert self.reference is not None
         assert self._map is not None
+        stands = float(estimate.team.p_WL[2]) - self._floor_z < LIFTED_M
+        free = self.phase is Phase.LIFT and stands  # no pull to the side while the floor holds it
+        world_map = without_statics(self._map) if free else self._map
         with self._watch.stage("nmpc"):
-            self.forces.solve(cause, estimate, self.reference, self._map, self.active)
+            self.forces.solve(cause, estimate, self.reference, world_map, self.active)
 
     def deliver(self, t_us: TimeUs) -> None:
         """Put what has been computed in force: the reference here, the plan by everybody."""
