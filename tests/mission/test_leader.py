@@ -10,6 +10,7 @@ from skyhaul.comms.messages import Status
 from skyhaul.control.nmpc.corridor import corridor_rows
 from skyhaul.geometry.shapes import Sphere
 from skyhaul.mission.api import Phase
+from skyhaul.mission.hearing import SILENT_US
 from skyhaul.mission.leader import Leader
 from skyhaul.mission.station import station_point
 from skyhaul.perception.api import ObstacleEstimate, StaticObject, Track
@@ -202,6 +203,17 @@ def test_while_the_floor_holds_the_load_what_stands_beside_it_does_not_push_it(
     gaps = [corridor_rows(m, p, now, 1) for m, p in zip(maps, places, strict=True)]
     assert [r.active[0, :2].any() for r in gaps] == [False, True]
     assert [bool(r.active[0, 2]) for r in gaps] == [True, True]  # movers count all the time
+
+
+def test_a_take_off_that_waits_for_a_silent_vehicle_says_so(ensemble, make_ensemble, ground_stack):
+    leader = leader_of(make_ensemble(ground_stack))
+    look(leader, ensemble, 0, FLOOR)
+    leader.hear(0, [taut(i, 0) for i in range(4)], frozenset())
+    t_us = PERIOD_US + SILENT_US
+    leader.hear(t_us, [taut(i, t_us) for i in (0, 1, 3)], frozenset())
+    look(leader, ensemble, t_us, FLOOR)
+    assert leader.phase is Phase.TAUTEN  # though all were at their stations, cables taut
+    assert leader.hindrance(t_us).sentence() == "vehicle 2 is not heard since 0.0 s"
 
 
 def test_a_mover_over_a_station_holds_the_take_off(ensemble, make_ensemble, ground_stack):

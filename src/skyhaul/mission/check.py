@@ -93,8 +93,8 @@ def _check_goal(config: RunConfig, p_WG: Array) -> None:
         return
     if result.path.status is PlanStatus.NO_PATH:
         raise ConfigError(
-            f"task.goal_m: there is no path to {_point(p_WG)} among obstacles that stand, which the "
-            f"team passes at planning.margin_m = {config.planning.margin_m:g} m; move the goal "
+            f"task.goal_m: there is no path to {_point(p_WG)} among obstacles that stand, which "
+            f"the team passes at planning.margin_m = {config.planning.margin_m:g} m; move the goal "
             "or the obstacles"
         )
     obstacles = standing(config)

@@ -24,6 +24,7 @@ class Verdict:
     over: bool
     success: bool
     reason: str
+    timed_out: bool = False
 
 
 FLYING_ON = Verdict(over=False, success=False, reason="still flying")
@@ -65,7 +66,7 @@ class Judge:
             return memory, Verdict(True, True, "task done")
         if t_us >= self.scenario.time_limit_s * US_PER_S:
             where = "safe hover" if phase is Phase.SAFE else f"phase '{phase.value}'"
-            return memory, Verdict(True, False, f"time limit reached in {where}")
+            return memory, Verdict(True, False, f"time limit reached in {where}", timed_out=True)
         return memory, FLYING_ON
 
     def _crash(self, memory: JudgeMemory, estimate: TeamEstimate) -> str | None:
