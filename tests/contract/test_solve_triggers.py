@@ -23,6 +23,7 @@ def views(seed, count=400):
     rng = np.random.default_rng(seed)
     for _ in range(count):
         yield SolveView(
+            since_s=rng.choice([0.0, 0.01, 0.06, 0.3, 1.0, 5.0]),
             age_s=rng.choice([0.0, 0.01, 0.06, 0.3, 1.0, 5.0]),
             plan_s=rng.choice([0.5, 2.4]),
             error=rng.choice([0.0, 0.02, 1.0]) * rng.normal(size=12),
@@ -42,12 +43,12 @@ def test_a_fault_solves_at_once(trigger):
 @every_trigger
 def test_a_plan_is_replaced_before_it_ends(trigger):
     for view in views(1):
-        assert trigger.cause(view._replace(age_s=view.plan_s)) is not None
+        assert trigger.cause(view._replace(age_s=view.plan_s, since_s=view.plan_s)) is not None
 
 
 @every_trigger
 def test_a_fresh_plan_on_its_way_is_left_alone(trigger):
-    calm = SolveView(0.0, 2.4, np.zeros(12), np.inf, False, False, False)
+    calm = SolveView(0.0, 0.0, 2.4, np.zeros(12), np.inf, False, False, False)
     assert trigger.cause(calm) is None
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,9 @@ from skyhaul.evaluation.energy import EnergyModel, compute_energy_j, rotor_power
 from skyhaul.evaluation.judge import fault_of
 from skyhaul.evaluation.metrics import attitude_error, evaluate, run_metrics
 from skyhaul.evaluation.series import load_run
+from skyhaul.evaluation.shortest import _full_map, _statics
 from skyhaul.geometry.quaternion import quat_exp, quat_mul
+from skyhaul.model.envelope import team_shape
 from skyhaul.plant.api import Contact
 
 Flight = Callable[..., Path]
@@ -199,3 +202,15 @@ def test_simulating_the_world_costs_the_team_no_energy() -> None:
 def test_impossible_constants_are_refused(wrong: dict) -> None:
     with pytest.raises(ValueError, match="must"):
         EnergyModel(**wrong)
+
+
+@pytest.mark.parametrize("margin_m", [0.1, 0.4])
+def test_the_shortest_clear_path_keeps_the_margin_of_the_run(
+    run_folder: Path, tmp_path: Path, margin_m: float
+) -> None:
+    copy = shutil.copytree(run_folder, tmp_path / "run")
+    text = (copy / "config.yaml").read_text("utf-8")
+    (copy / "config.yaml").write_text(text + f"planning: {{margin_m: {margin_m}}}\n", "utf-8")
+    run = load_run(copy)
+    world_map = _full_map(run, _statics(run.scenario))
+    assert world_map.shape == team_shape(run.scenario.team, margin_m)

@@ -77,6 +77,60 @@ def random_load(rng):
     return np.concatenate([rng.normal(size=3), q / np.linalg.norm(q), rng.normal(size=6)])
 
 
+class Failing(Answer):
+    """A payload controller whose solves fail: the plan stays the last one."""
+
+    def __init__(self, solution, works_from_us=10**12):
+        super().__init__(replace(solution, status=SolveStatus.FAILED))
+        self._works_from_us = works_from_us
+
+    def solve(self, memory, request):
+        memory, failed = super().solve(memory, request)
+        works = request.stamp_us >= self._works_from_us
+        plan = replace(failed.plan, stamp_us=request.stamp_us * works)
+        return memory, replace(failed, plan=plan, status=SolveStatus.OK if works else failed.status)
+
+
+def fly_on(forces, e, seconds):
+    """Solve whenever it is due; returns when, and by which law [s]."""
+    solved = []
+    for t_us in range(2_000, round(1e6 * seconds), 2_000):
+        estimate = e.estimate(t_us)
+        cause = forces.due(t_us, estimate, np.inf)
+        if cause is not None:
+            before = len(e.stack.controller.requests)
+            solve(forces, e, estimate, cause)
+            asked = len(e.stack.controller.requests) > before
+            solved.append((1e-6 * t_us, "nmpc" if asked else "law"))
+    return solved
+
+
+def test_a_solver_that_keeps_failing_is_relieved_by_the_geometric_law_and_tried_ever_less_often(
+    ensemble,
+):
+    """Three tries 0.1 s apart, then the law for 2, 4, 8 and 16 s."""
+    plan = solve_of(ensemble, ensemble.estimate(0))
+    e = replace(ensemble, stack=replace(ensemble.stack, controller=Failing(plan)))
+    forces = forces_of(e)
+    solve(forces, e, e.estimate(0))
+    solved = fly_on(forces, e, 34.0)
+    tries = np.array([0.0] + [t for t, law in solved if law == "nmpc"])
+    np.testing.assert_allclose(np.diff(tries)[:2], 0.1, atol=0.01)
+    np.testing.assert_allclose(np.diff(tries)[2:], [2.0, 4.0, 8.0, 16.0], atol=0.8)
+    assert np.all(np.diff([t for t, _ in solved]) > 0.09)
+
+
+def test_a_solver_that_recovers_flies_again_and_is_trusted_as_before(ensemble):
+    plan = solve_of(ensemble, ensemble.estimate(0))
+    controller = Failing(plan, works_from_us=1_000_000)
+    e = replace(ensemble, stack=replace(ensemble.stack, controller=controller))
+    forces = forces_of(e)
+    solve(forces, e, e.estimate(0))
+    late = [law for t, law in fly_on(forces, e, 6.0) if t > 3.1]
+    assert set(late) == {"nmpc"}
+    assert (forces._failures, forces._rounds) == (0, 0)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_a_moved_load_is_off_by_the_error_it_was_moved_by(seed):
     rng = np.random.default_rng(seed)
@@ -175,7 +229,7 @@ def test_a_failed_solve_is_noted_and_tried_again_after_the_dwell(ensemble):
     forces._stack = replace(ensemble.stack, controller=Answer(failed))
     solve(forces, ensemble, replace(estimate, stamp_us=2_000), "plan_age")
     assert ensemble.notes.triggers[-1].detail == "failed"
-    age_us = round(1e6 * ensemble.stack.mission.trigger.dwell_s)
+    age_us = 2_000 + round(1e6 * ensemble.stack.mission.trigger.dwell_s)
     assert forces.due(age_us - 2_000, estimate, np.inf) is None
     assert forces.due(age_us, estimate, np.inf) == "solver_failure"
 

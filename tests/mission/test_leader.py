@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from skyhaul.comms.messages import Status
+from skyhaul.control.nmpc.corridor import corridor_rows
 from skyhaul.geometry.shapes import Sphere
 from skyhaul.mission.api import Phase
+from skyhaul.mission.hearing import SILENT_US
 from skyhaul.mission.leader import Leader
 from skyhaul.mission.station import station_point
-from skyhaul.perception.api import ObstacleEstimate, Track
+from skyhaul.perception.api import ObstacleEstimate, StaticObject, Track
 from skyhaul.planning.api import Plan, PlanStatus, ReferencePlan, ReferenceStatus
 from skyhaul.planning.cubic import CubicPlanner
 from skyhaul.planning.reference import resting_reference
@@ -183,6 +185,35 @@ def test_a_vehicle_lost_while_the_load_stands_on_the_floor_calls_the_take_off_of
     leader.hear(2_000_000, [], frozenset({1}))
     look(leader, ensemble, 2_000_000, np.add(FLOOR, [0.0, 0.0, 0.05]))
     assert leader.phase is Phase.LIFT  # in the air it is flown on
+
+
+def test_while_the_floor_holds_the_load_what_stands_beside_it_does_not_push_it(
+    ensemble, make_ensemble, ground_stack
+):
+    leader, t_us = lifting(ensemble, make_ensemble, ground_stack, 1_000_000), 2_000_000
+    beside = StaticObject(0, Sphere(radius_m=0.3), np.array([1.2, 0.0, 0.3]), np.eye(3))
+    maps, places = [], []
+    leader.forces.solve = lambda *request: maps.append(request[3])
+    for height_m in (0.0, 0.2):
+        estimate = ensemble.estimate(t_us, p_WL=np.add(FLOOR, [0.0, 0.0, height_m]))
+        leader.update_map(estimate, ObstacleEstimate(t_us, (beside,), (ball(t_us, [0, 1.2, 1]),)))
+        leader.solve(estimate, "plan_age")
+        places.append(estimate.team.p_WL[None])
+    now = np.array([t_us])
+    gaps = [corridor_rows(m, p, now, 1) for m, p in zip(maps, places, strict=True)]
+    assert [r.active[0, :2].any() for r in gaps] == [False, True]
+    assert [bool(r.active[0, 2]) for r in gaps] == [True, True]  # movers count all the time
+
+
+def test_a_take_off_that_waits_for_a_silent_vehicle_says_so(ensemble, make_ensemble, ground_stack):
+    leader = leader_of(make_ensemble(ground_stack))
+    look(leader, ensemble, 0, FLOOR)
+    leader.hear(0, [taut(i, 0) for i in range(4)], frozenset())
+    t_us = PERIOD_US + SILENT_US
+    leader.hear(t_us, [taut(i, t_us) for i in (0, 1, 3)], frozenset())
+    look(leader, ensemble, t_us, FLOOR)
+    assert leader.phase is Phase.TAUTEN  # though all were at their stations, cables taut
+    assert leader.hindrance(t_us).sentence() == "vehicle 2 is not heard since 0.0 s"
 
 
 def test_a_mover_over_a_station_holds_the_take_off(ensemble, make_ensemble, ground_stack):

@@ -28,6 +28,7 @@ from skyhaul.types import ERR_P, ERR_R, ERR_V, ERR_W
 from skyhaul.world.scenario import Limits
 
 CALM = SolveView(
+    since_s=0.3,
     age_s=0.3,
     plan_s=2.4,
     error=np.zeros(12),
@@ -96,9 +97,23 @@ def test_each_event_solves_under_its_condition_alone(changes, cause):
     ],
 )
 def test_only_faults_and_new_references_do_not_wait_for_the_dwell(changes, waits):
-    young = CALM._replace(age_s=0.09, **changes)
+    young = CALM._replace(since_s=0.09, **changes)
     assert (EVENT.cause(young) is None) == waits
-    assert EVENT.cause(young._replace(age_s=0.1)) is not None
+    assert EVENT.cause(young._replace(since_s=0.1)) is not None
+
+
+@pytest.mark.parametrize(
+    "trigger", [EVENT, PeriodicTrigger(rate_hz=10), PeriodicFeedbackTrigger(rate_hz=10)]
+)
+def test_a_solver_that_fails_is_not_asked_at_every_tick(trigger):
+    """The plan in force stays, and with it its stamp: only the time of the attempt rises."""
+    asked, since_s = [], 9.0
+    for k in range(500):
+        view = CALM._replace(age_s=5.0 + 2e-3 * k, since_s=since_s, failed=True)
+        fires = trigger.cause(view) is not None
+        asked.append(fires)
+        since_s = 2e-3 if fires else since_s + 2e-3
+    assert sum(asked) == 10
 
 
 @pytest.mark.parametrize(
@@ -107,16 +122,16 @@ def test_only_faults_and_new_references_do_not_wait_for_the_dwell(changes, waits
 def test_a_periodic_trigger_looks_at_the_clock_and_at_faults_only(trigger):
     everything = {"failed": True, "reference_changed": True, "error": off(ERR_P, 9.0)}
     loud = CALM._replace(**everything, clearance_m=-1.0)
-    assert trigger.cause(loud._replace(age_s=0.248)) is None
-    assert trigger.cause(CALM._replace(age_s=0.25)) == "period"
-    assert trigger.cause(CALM._replace(age_s=0.002, fault=True)) == "fault"
+    assert trigger.cause(loud._replace(since_s=0.248)) is None
+    assert trigger.cause(CALM._replace(since_s=0.25)) == "period"
+    assert trigger.cause(CALM._replace(since_s=0.002, fault=True)) == "fault"
 
 
 def test_the_rate_is_met_on_a_clock_of_two_milliseconds():
     trigger, age, solves = PeriodicTrigger(rate_hz=20.0), 0, 0
     for _ in range(5_000):  # 10 s
         age += 2
-        fires = trigger.cause(CALM._replace(age_s=1e-3 * age)) is not None
+        fires = trigger.cause(CALM._replace(since_s=1e-3 * age)) is not None
         solves, age = solves + fires, age * (not fires)
     assert solves == 200
 

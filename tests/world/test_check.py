@@ -81,6 +81,40 @@ def test_an_impossible_scenario_is_refused_in_one_sentence(overrides: list[str],
     assert part in refusal("paper", *overrides)
 
 
+BESIDE = "{name: b, center_m: [1.3, 0, 0.15], shape: {kind: box, size_m: [1.2, 1.6, 0.3]}}"
+LID = "{name: b, center_m: [0, 0, 0.6], shape: {kind: box, size_m: [1.6, 1.6, 0.1]}}"
+HIGH = "{name: b, center_m: [0, 0, 2.5], shape: {kind: box, size_m: [1.6, 1.6, 0.1]}}"
+AWAY = "{name: b, center_m: [1.8, 0, 0.15], shape: {kind: box, size_m: [1.2, 1.6, 0.3]}}"
+PASSING = (
+    "{name: b, center_m: [0, 0, 0.6], shape: {kind: sphere, radius_m: 0.2}, "
+    "motion: {kind: line, velocity_mps: [1, 0, 0], length_m: 5}}"
+)
+LATER = "{name: b, center_m: [0, 0, 0.6], shape: {kind: sphere, radius_m: 0.2}, appears: {at_s: 9}}"
+
+
+GROUND = "start={kind: ground, payload_m: [0, 0]}"
+FLY_IN = "start={kind: fly-in, payload_m: [0, 0], vehicles_m: [[3, 3], [-1, 3], [-1, -3], [3, -3]]}"
+
+
+@pytest.mark.parametrize("start", [GROUND, FLY_IN])
+@pytest.mark.parametrize("obstacle", [BESIDE, LID])
+def test_a_take_off_among_obstacles_that_stand_is_refused(obstacle: str, start: str) -> None:
+    """A box beside the team and a lid over it: nothing can step aside while the floor holds."""
+    words = refusal("lost-vehicle", f"world.obstacles=[{obstacle}]", start)
+    assert "start.payload_m: over (0, 0) the team" in words
+    assert "would touch obstacle 'b' as it takes off" in words
+
+
+@pytest.mark.parametrize("obstacle", [HIGH, AWAY, PASSING, LATER])
+def test_what_is_high_away_or_not_always_there_does_not_forbid_a_take_off(obstacle: str) -> None:
+    load_config(Scenario, "lost-vehicle", [f"world.obstacles=[{obstacle}]"])
+
+
+def test_a_take_off_beside_a_wall_is_refused() -> None:
+    words = refusal("lost-vehicle", "world.room.min_m=[-0.7, -4, 0]", "world.obstacles=[]")
+    assert "does not fit between the walls; the load must stand within" in words
+
+
 def test_a_blocked_goal_names_a_height_that_is_accepted() -> None:
     sentence = refusal("paper", "task.goal_m=[2.2, 2.2, 2.0]")
     height = sentence.split("height ")[1].split(" m")[0]

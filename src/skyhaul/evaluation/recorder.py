@@ -24,6 +24,7 @@ from skyhaul.mission.api import LIFTED_M, PULLING, Outcome, Phase, Replan, Solve
 from skyhaul.planning.api import Reference
 from skyhaul.plant.api import PLANT_STEP_US
 from skyhaul.types import US_PER_S, TimeUs
+from skyhaul.world.check import rest_height_m
 from skyhaul.world.scenario import Scenario
 
 GROUP_ROWS = 250
@@ -63,8 +64,7 @@ class RunRecorder:
         factor = rotor_power_factor(energy or EnergyModel(), radius)
         self._power_step = factor * PLANT_STEP_US / US_PER_S
         self._extremes = extremes.start(n)
-        payload = config.team.payload
-        self._rest_m = 0.5 * payload.size_m[2] if payload.kind == "rigid" else payload.radius_m
+        self._rest_m = rest_height_m(config.team)
         self._phase: Phase | None = None
         self._airborne = False
         self._now_us: TimeUs = 0

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The shortest clear path from lift-off to the goal, as a measure for the path that was flown."""
 
-import numpy as np
+from pathlib import Path
 
+import numpy as np
+import yaml
+
+from skyhaul.evaluation.folder import CONFIG
 from skyhaul.evaluation.series import Run
 from skyhaul.geometry.shapes import shape_size
 from skyhaul.mapping.api import WorldMap
@@ -14,6 +18,7 @@ from skyhaul.planning.astar import AStar
 from skyhaul.planning.config import PlanningConfig
 from skyhaul.types import Array
 from skyhaul.world.scenario import GoTo, Scenario
+from skyhaul.world.schema import build
 
 
 def shortest_clear_path_m(run: Run) -> float | None:
@@ -44,13 +49,19 @@ def _statics(scenario: Scenario) -> tuple[StaticObject, ...]:
 
 
 def _full_map(run: Run, statics: tuple[StaticObject, ...]) -> WorldMap:
-    """The map of a team that knows everything that stands, as at lift-off."""
-    world = run.scenario.world
-    shape = team_shape(run.scenario.team, PlanningConfig().margin_m)
-    mapper = Mapping().build(world.map, world.room, shape)
+    """The run's map of a team that knows everything that stands, as at lift-off."""
+    world, (planning, mapping) = run.scenario.world, _stack(run.folder / CONFIG)
+    shape = team_shape(run.scenario.team, planning.margin_m)
+    mapper = mapping.build(world.map, world.room, shape)
     row = int(np.argmax(run.airborne))
     estimate = ObstacleEstimate(0, statics, ())
     return mapper.step(mapper.init(), estimate, _team_at(run, row))[1]
+
+
+def _stack(path: Path) -> tuple[PlanningConfig, Mapping]:
+    """How a run planned and mapped, by its configuration; defaults where it does not say."""
+    tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return build(PlanningConfig, tree.get("planning", {})), build(Mapping, tree.get("mapping", {}))
 
 
 def _team_at(run: Run, row: int) -> TeamState:

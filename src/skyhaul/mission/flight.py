@@ -3,14 +3,16 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skyhaul.errors import DivergenceError, SkyhaulError
 from skyhaul.mission.api import Outcome, Phase, Recorder
+from skyhaul.mission.check import check_flight
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.crew import Crew
+from skyhaul.mission.hindrance import at_goal
 from skyhaul.mission.judge import FLYING_ON, Judge, Verdict
 from skyhaul.mission.loop import cycle
 from skyhaul.mission.sensing import team_sensing
@@ -18,6 +20,7 @@ from skyhaul.mission.setup import build_stack
 from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.mission.ticks import TickMaker
 from skyhaul.mission.vehicle import Actuation, command_of
+from skyhaul.model.envelope import team_shape
 from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
 from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.types import US_PER_S, Array, TimeUs
@@ -59,11 +62,13 @@ def fly(
         is a plant that diverges.
 
     Raises:
+        ConfigError: When the stack cannot fly the scenario; see `check_flight`.
         SkyhaulError: When the flight is impossible, or the disk takes no more; the recorder has
             been told before.
     """
     flight, verdict = None, _failed("broken off by a fault of the program")
     try:
+        check_flight(config)
         flight = Flight(config, seed, recorder)
         verdict = flight.run(progress)
     except KeyboardInterrupt:
@@ -128,7 +133,20 @@ class Flight:
                 self._judged, verdict = self._judge.step(
                     self._judged, t_us, self._crew.leader.phase, estimate
                 )
-        return verdict
+        return self._with_cause(verdict)
+
+    def _with_cause(self, verdict: Verdict) -> Verdict:
+        """The verdict at the time limit, with what kept the mission from its end."""
+        leader, config = self._crew.leader, self._config
+        why = leader.hindrance(self._truth.stamp_us)
+        if not verdict.timed_out or why is None:
+            return verdict
+        name = None
+        if isinstance(config.task, GoTo):
+            shape = team_shape(config.team, config.planning.margin_m)
+            names = tuple(o.name for o in config.world.obstacles)
+            name = at_goal(self._truth, shape, np.array(config.task.goal_m), names)
+        return replace(verdict, reason=f"{verdict.reason}: {why.sentence(name)}")
 
     def outcome(self, verdict: Verdict) -> Outcome:
         """How it ended, with the time it took."""

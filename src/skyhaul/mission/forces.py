@@ -44,8 +44,18 @@ LOOK_PERIOD_US = 10_000
 """The load is held against its plan this often; other causes are looked for at every tick [us]."""
 
 
+FAILURES_MAX = 3
+"""After so many failed solves in a row the geometric law flies, for `recovery_s`; each time that
+the first solve after it fails as well, for twice as long, up to `BACK_OFF_MAX` times."""
+BACK_OFF_MAX = 8
+
+
 class ForcePlanning:
-    """Keeps the force plan in force and solves for the next one."""
+    """Keeps the force plan in force and solves for the next one.
+
+    While solves fail, the last plan is flown on, then the controller's safe hover; after
+    `FAILURES_MAX` of them, plans come from the geometric law, and the solver is tried now and then.
+    """
 
     def __init__(self, stack: Stack, recorder: Recorder) -> None:
         self.message: PlanMessage | None = None
@@ -54,6 +64,8 @@ class ForcePlanning:
         self._arrays: PlanArrays | None = None
         self._pending: Pending[ForcePlan] = Pending(stack.mission.latency)
         self._recover_until_us = 0
+        self._tried_us = -US_PER_S  # when the last solve was tried
+        self._failures = self._rounds = 0  # solves that failed in a row, and pauses after them
         self._reference_changed = self._fault = self._failed = False
 
     def new_reference(self) -> None:
@@ -63,8 +75,13 @@ class ForcePlanning:
     def fault(self, t_us: TimeUs) -> None:
         """Other cables carry from now on: start afresh, by the geometric law for a while."""
         self._fault = True
+        self._recover(t_us, 1)
+
+    def _recover(self, t_us: TimeUs, times: int) -> None:
+        """Fly by the geometric law for a while; the controller starts afresh after it."""
         self._memory = self._stack.controller.init()
-        self._recover_until_us = t_us + round(self._stack.mission.recovery_s * US_PER_S)
+        pause_us = round(self._stack.mission.recovery_s * US_PER_S)
+        self._recover_until_us = max(self._recover_until_us, t_us + times * pause_us)
 
     def follow(self, message: PlanMessage | None) -> None:
         """Put a plan in force."""
@@ -79,6 +96,7 @@ class ForcePlanning:
             return "start"
         plan, look = self.message.plan, t_us % LOOK_PERIOD_US == 0
         view = SolveView(
+            since_s=(t_us - self._tried_us) / US_PER_S,
             age_s=(t_us - plan.stamp_us) / US_PER_S,
             plan_s=float(plan.node_s[-1]),
             error=self._error(t_us, estimate.team.load) if look else None,
@@ -112,7 +130,7 @@ class ForcePlanning:
         )
         solution = self._solve(request)
         self._reference_changed = self._fault = False
-        self._failed = solution.status is SolveStatus.FAILED
+        self._failed, self._tried_us = solution.status is SolveStatus.FAILED, t_us
         self._recorder.trigger(Trigger(t_us, cause, solution.status.value))
         self._recorder.solve(Solve(t_us, cause, solution))
         bare = not trigger.feedback and not self._by_law(t_us)
@@ -132,8 +150,15 @@ class ForcePlanning:
     def _solve(self, request: ControlRequest) -> Solution:
         if self._recovering(request.stamp_us):
             _, solution = self._stack.backup.solve(None, request)
-        else:
-            self._memory, solution = self._stack.controller.solve(self._memory, request)
+            return solution
+        self._memory, solution = self._stack.controller.solve(self._memory, request)
+        if solution.status is not SolveStatus.FAILED:
+            self._failures = self._rounds = 0
+            return solution
+        self._failures += 1
+        if self._failures >= FAILURES_MAX:
+            self._recover(request.stamp_us, min(2**self._rounds, BACK_OFF_MAX))
+            self._failures, self._rounds = FAILURES_MAX - 1, self._rounds + 1
         return solution
 
     def _recovering(self, t_us: TimeUs) -> bool:

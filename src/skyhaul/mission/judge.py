@@ -8,6 +8,7 @@ import numpy as np
 from skyhaul.mission.api import LIFTED_M, PULLING, Phase
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.types import US_PER_S, TimeUs
+from skyhaul.world.check import rest_height_m
 from skyhaul.world.scenario import GoTo, Scenario
 
 _FALLEN_M = 0.02
@@ -23,6 +24,7 @@ class Verdict:
     over: bool
     success: bool
     reason: str
+    timed_out: bool = False
 
 
 FLYING_ON = Verdict(over=False, success=False, reason="still flying")
@@ -64,7 +66,7 @@ class Judge:
             return memory, Verdict(True, True, "task done")
         if t_us >= self.scenario.time_limit_s * US_PER_S:
             where = "safe hover" if phase is Phase.SAFE else f"phase '{phase.value}'"
-            return memory, Verdict(True, False, f"time limit reached in {where}")
+            return memory, Verdict(True, False, f"time limit reached in {where}", timed_out=True)
         return memory, FLYING_ON
 
     def _crash(self, memory: JudgeMemory, estimate: TeamEstimate) -> str | None:
@@ -79,9 +81,7 @@ class Judge:
 
     def _height_m(self, estimate: TeamEstimate) -> float:
         """Height of the load above where it stands on the floor [m]."""
-        payload = self.scenario.team.payload
-        half = 0.5 * payload.size_m[2] if payload.kind == "rigid" else payload.radius_m
-        return float(estimate.team.p_WL[2]) - half
+        return float(estimate.team.p_WL[2]) - rest_height_m(self.scenario.team)
 
     def _at_end(self, estimate: TeamEstimate) -> bool:
         task = self.scenario.task

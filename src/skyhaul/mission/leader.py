@@ -10,15 +10,16 @@ from skyhaul.comms.messages import ORDER, PLAN, Order, PlanMessage, Status
 from skyhaul.control.api import ForcePlan
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.mapping.api import MapChange, WorldMap
-from skyhaul.mission.api import PULLING, Phase, Recorder, Replan, Trigger
+from skyhaul.mission.api import LIFTED_M, PULLING, Phase, Recorder, Replan, Trigger
 from skyhaul.mission.forces import ForcePlanning
 from skyhaul.mission.hearing import SILENT_US
+from skyhaul.mission.hindrance import Hindrance, hindrance
 from skyhaul.mission.latency import Pending
 from skyhaul.mission.loss import reference_after_loss, rest_after_loss
 from skyhaul.mission.phases import LeaderView, lifts_level, next_phase, spool_plan
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.stopwatch import Stopwatch
-from skyhaul.mission.take_off import is_clear, predict
+from skyhaul.mission.take_off import is_clear, predict, without_statics
 from skyhaul.mission.triggers import ReplanView, predicted_clearance, replan_cause
 from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
 from skyhaul.planning.api import Reference, ReferencePlan, ReferenceStatus
@@ -68,6 +69,7 @@ class Leader:
         self._statuses: dict[int, Status] = {}
         self._task_reference: SplineReference | None = None
         self._reaches_goal = False
+        self._short: Hindrance | None = None  # why plans end short of the goal
         self._waits = False  # the reference in force rests on its way
         self._any_left = self._enough_left = self._lifts_level = True
         self._heading: HeadingPlan | None = None
@@ -140,6 +142,17 @@ class Leader:
         if self.order is None or _differs(order, self.order):
             self.order = order
             self._bus.publish(ORDER, self.index, t_us, order)
+
+    def hindrance(self, t_us: TimeUs) -> Hindrance | None:
+        """What keeps the mission from going on, and since when, if anything is known of it."""
+        if self.phase in (Phase.FLY_IN, Phase.TAUTEN):
+            since_us = self._phase_since_us
+            silent = [i for i in np.flatnonzero(self.active) if self._heard(t_us, int(i)) is None]
+            if silent:
+                return Hindrance(f"vehicle {silent[0]} is not heard", since_us)
+            waits = self.order is not None and self.order.retreat
+            return Hindrance("a mover is in the way of the take-off", since_us) if waits else None
+        return None if self._reaches_goal else self._short
 
     def _view(self, t_us: TimeUs, estimate: TeamEstimate, *, blocked: bool) -> LeaderView:
         return LeaderView(
@@ -255,6 +268,7 @@ class Leader:
         wall_ms = 1e3 * (time.perf_counter() - began)
         self._last_replan_us = t_us
         self._mapper_memory = self._stack.mapper.mark_planned(self._mapper_memory)
+        self._short = hindrance(self._short, t_us, result)
         chosen = self._choice(result, cause, t_us)
         self._recorder.replan(Replan(t_us, cause, result, chosen is not None, wall_ms))
         if chosen is self.reference:
@@ -310,8 +324,11 @@ class Leader:
         """Solve for new cable forces along the reference."""
         assert self.reference is not None
         assert self._map is not None
+        stands = float(estimate.team.p_WL[2]) - self._floor_z < LIFTED_M
+        free = self.phase is Phase.LIFT and stands  # no pull to the side while the floor holds it
+        world_map = without_statics(self._map) if free else self._map
         with self._watch.stage("nmpc"):
-            self.forces.solve(cause, estimate, self.reference, self._map, self.active)
+            self.forces.solve(cause, estimate, self.reference, world_map, self.active)
 
     def deliver(self, t_us: TimeUs) -> None:
         """Put what has been computed in force: the reference here, the plan by everybody."""

@@ -161,3 +161,20 @@ def station_point(team: Team, p_WL: Array, R_WL: Array, i: int, share: float) ->
     length = share * team.cable_lengths_m()[i]
     point: Array = p_WL + R_WL @ (team.hooks_L()[i] + length * team.formation_dirs_L()[i])
     return point
+
+
+def way_in(start: str, cruise_m: float, p_WB: Array, end: Array) -> Array:
+    """Corners of the way from a parking place to a station, (k, 3) [m].
+
+    Args:
+        start: Kind of the start: from the ground beside the load it is straight, from afar up,
+            across and down.
+        cruise_m: Height of the way across, if the station is not higher [m].
+        p_WB: Parking place, (3,) [m].
+        end: Station, (3,) [m].
+    """
+    if start != "fly-in":
+        return np.array([p_WB, end])
+    height = max(cruise_m, end[2] + 0.3)
+    above = np.array([p_WB[0], p_WB[1], height])
+    return np.array([p_WB, above, [end[0], end[1], height], end])

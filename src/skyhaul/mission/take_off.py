@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether the take-off, as it will go from now on, is clear of movers."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -74,3 +75,12 @@ def is_clear(stack: Stack, world_map: WorldMap, t_us: TimeUs, take_off: TakeOff)
     rise = slice(take_off.rises, None)
     team = tube_clearances(world_map.arrays, take_off.p_WL[rise], after_s[rise])
     return bool(np.min(team) >= min(team[0], 0.0) - params.closer_m)
+
+
+def without_statics(world_map: WorldMap) -> WorldMap:
+    """The map with its tracks alone, for a load that stands on the floor and cannot step aside."""
+    open_space = np.full_like(world_map.static_clearance, world_map.truncation_m)
+    room = np.full(3, np.inf)
+    return replace(
+        world_map, static_clearance=open_space, coarse=None, room_min=-room, room_max=room
+    )

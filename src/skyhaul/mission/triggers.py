@@ -21,6 +21,7 @@ from skyhaul.types import ERR_P, ERR_R, ERR_V, US_PER_S, Array, TimeUs
 class SolveView(NamedTuple):
     """What a solve trigger looks at."""
 
+    since_s: float  # since the last solve was tried, whether it succeeded or not [s]
     age_s: float  # since the plan in force was solved [s]
     plan_s: float  # length of the plan in force [s]
     error: Array | None  # (12,) measured load against the planned one, layout of `types.ERR_P`;
@@ -91,7 +92,7 @@ class EventTrigger(Params):
             return "fault"
         if view.reference_changed:
             return "new_reference"
-        if view.age_s < self.dwell_s:
+        if view.since_s < self.dwell_s:
             return None
         if view.failed:
             return "solver_failure"
@@ -158,7 +159,7 @@ SolveTrigger = EventTrigger | PeriodicTrigger | PeriodicFeedbackTrigger
 def _periodic_cause(rate_hz: float, view: SolveView) -> str | None:
     if view.fault:
         return "fault"
-    return "period" if view.age_s >= 1.0 / rate_hz - 1e-9 else None
+    return "period" if view.since_s >= 1.0 / rate_hz - 1e-9 else None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ from skyhaul.mission.hearing import Hearing
 from skyhaul.mission.loss import makeshift_plan, plan_in_silence
 from skyhaul.mission.phases import spool_share
 from skyhaul.mission.setup import Stack
-from skyhaul.mission.station import Route, Setpoint, route_along, station_point
+from skyhaul.mission.station import Route, Setpoint, route_along, station_point, way_in
 from skyhaul.mission.tracking import SharedTracking
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.plant.api import PLANT_STEP_US
@@ -270,11 +270,8 @@ class VehicleAgent:
         """Corners of the way from the parking place to the station, (k, 3) [m]."""
         i, team = self.index, estimate.team
         end = self._station(estimate, 0.0)
-        if self._stack.start.kind != "fly-in":
-            return np.array([team.p_WB[i], end])
-        height = max(self._stack.mission.station.cruise_height_m, end[2] + 0.3)
-        above = np.array([*team.p_WB[i, :2], height])
-        return np.array([team.p_WB[i], above, [end[0], end[1], height], end])
+        cruise_m = self._stack.mission.station.cruise_height_m
+        return way_in(self._stack.start.kind, cruise_m, team.p_WB[i], end)
 
     def _station(self, estimate: TeamEstimate, creep_m: float) -> Array:
         """Place over the load with the cable a little slack, pushed out by the creep, (3,) [m]."""

@@ -16,7 +16,9 @@ from skyhaul.world.obstacles import Obstacle
 from skyhaul.world.scenario import AirStart, FlyInStart, GoTo, GroundStart, Scenario
 
 GOAL_MARGIN_M = 0.15
-"""Room that the team's shape needs on every side at the goal and at an air start [m]."""
+"""Room that the team's shape needs on every side at the goal and at the start [m]."""
+COLUMN_M = 0.5
+"""Height above a ground start within which the team, its cables taut, must touch nothing [m]."""
 THRUST_SHARE_MAX = 0.9
 """Largest share of its thrust that a vehicle may need to hover with its part of the load."""
 GAP_MAX_DEG = 175.0
@@ -219,13 +221,43 @@ def _check_ground(scenario: Scenario, start: GroundStart | FlyInStart) -> None:
             )
     if isinstance(start, GroundStart):
         _check_cables(team, load, spots)
+    _check_column(scenario, load)
+
+
+def _check_column(scenario: Scenario, load: Array) -> None:
+    """The team can rise straight up: there is no way to step aside while the floor holds the load.
+
+    Movers do not count: the team waits for them.
+    """
+    shape, rest = team_shape(scenario.team, GOAL_MARGIN_M), rest_height_m(scenario.team)
+    low, high = map_box(scenario)
+    reach = np.array([shape.radius_m, shape.radius_m])
+    if np.any(load - reach < low[:2]) or np.any(load + reach > high[:2]):
+        raise ConfigError(
+            f"start.payload_m: at {_point(load)} the team, {shape.radius_m:.2f} m around the load, "
+            f"does not fit between the walls; the load must stand within {_point(low[:2] + reach)} "
+            f"to {_point(high[:2] - reach)} m"
+        )
+    obstacles = standing(scenario)
+    for z in np.arange(rest, rest + COLUMN_M + 0.025, 0.05):
+        gaps = clearances_at(shape, np.array([load[0], load[1], z]), obstacles)
+        for o, gap in zip(obstacles, gaps, strict=True):
+            if gap <= 0.0:
+                raise ConfigError(
+                    f"start.payload_m: over {_point(load)} the team, {shape.radius_m:.2f} m around "
+                    f"the load, would touch obstacle {o.name!r} as it takes off; move one of them"
+                )
+
+
+def rest_height_m(team: Team) -> float:
+    """Height of the load's centre of mass where it stands on the floor [m]."""
+    payload = team.payload
+    return 0.5 * payload.size_m[2] if payload.kind == "rigid" else payload.radius_m
 
 
 def _check_cables(team: Team, load: Array, spots: Array) -> None:
     """Every cable reaches from its hook on the standing load to its parked vehicle."""
-    payload = team.payload
-    rest = 0.5 * payload.size_m[2] if payload.kind == "rigid" else payload.radius_m
-    hooks = team.hooks_L() + np.array([load[0], load[1], rest])
+    hooks = team.hooks_L() + np.array([load[0], load[1], rest_height_m(team)])
     centres = np.column_stack([spots, np.full(team.count, team.vehicle.half_height_m)])
     need, length = np.linalg.norm(centres - hooks, axis=1), team.cable_lengths_m()
     for i in range(team.count):

@@ -59,7 +59,7 @@ class SqpResult:
     """Where the iterations ended."""
 
     status: SolveStatus
-    iterate: Iterate  # the last usable one
+    iterate: Iterate  # the last one; of a failed solve the one before the failure
     residual: float  # of the last QP
     iterations: int  # of the interior-point method, all QPs together
     slack_m: float
@@ -69,8 +69,9 @@ def solve_sqp(problem: Problem, start: Iterate, count: int, ws: Workspace) -> Sq
     """Up to `count` Gauss-Newton steps from a guess; the first state and forces stay.
 
     Steps shrink about as the square of the one before, so that after a small one the next would
-    change nothing; obstacles whose rows come and go keep them large. A QP without a solution ends
-    the iterations: with the last usable iterate where there is one.
+    change nothing; obstacles whose rows come and go keep them large. A QP without a solution, or a
+    step that leads too far, fails the whole solve, earlier steps included: an iterate from which
+    there is no next step is not flown.
     """
     qp = ws.qp
     arrays = QpArrays(qp.At, qp.Bt, qp.b, qp.Q, qp.q, qp.R, qp.r, qp.St, qp.Ct, qp.d, qp.active)
