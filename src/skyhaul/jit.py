@@ -17,3 +17,12 @@ def njit(function: F) -> F:
 def njit_ieee(function: F) -> F:
     """As `njit`, but a division by zero gives inf or nan: no branch in the loops over pixels."""
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def njit_inner(function: F) -> F:
+    """For the inside of a hot loop: always inlined, sums in any order, no check of divisors."""
+    made = numba.njit(
+        cache=True, nogil=True, error_model="numpy", forceinline=True,
+        fastmath={"contract", "reassoc"},
+    )  # fmt: skip
+    return cast(F, made(function))
