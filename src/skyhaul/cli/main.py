@@ -226,12 +226,12 @@ def _add_train_events(to: argparse.ArgumentParser) -> None:
         "from it (default: train-events)",
     )  # fmt: skip
     to.add_argument("--seed", type=_seed, default=0, help="draws scenes and training (default: 0)")
-    to.add_argument("--scenes", type=int, default=90, help="scenes to learn from (default: 90)")
+    to.add_argument("--scenes", type=int, default=110, help="scenes to learn from (default: 110)")
     to.add_argument(
         "--held-out", type=int, default=16, help="scenes of other flights to judge by (default: 16)"
     )
     to.add_argument(
-        "--updates", type=int, default=5000, help="steps of the optimiser (default: 5000)"
+        "--updates", type=int, default=4000, help="steps of the optimiser (default: 4000)"
     )
     to.add_argument(
         "--no-edge-term", action="store_true", help="leave e_ij out of the network: an ablation"

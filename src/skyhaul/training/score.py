@@ -16,8 +16,8 @@ from skyhaul.training.scenes import MOVES, TEAM, LabelledStream
 
 STEP_US = 10_000
 BIN_US = 50_000
-LEAST_EVENTS = 12
-"""A mover with fewer events in a bin is not asked for."""
+VISIBLE_PX = 12
+"""A mover that fires in fewer pixels in a bin is not asked for."""
 
 
 @dataclass(frozen=True)
@@ -118,10 +118,11 @@ def _objects(
         real[:1] = False
         clusters += int(real.sum())
         right += int((real & (share >= 0.5)).sum())
-        owner = stream.object_id[here & moves]
-        ids, count = np.unique(owner, return_counts=True)
-        hit = np.array([np.sum(called[here & moves] & (owner == i)) for i in ids])
-        asked = count >= LEAST_EVENTS
-        wanted += int(asked.sum())
-        found += int((asked & (2 * hit >= count)).sum())
+        mine = np.flatnonzero(here & moves)
+        for owner in np.unique(stream.object_id[mine]):
+            its = mine[stream.object_id[mine] == owner]
+            pixels = np.unique(e.y[its].astype(np.int64) * lens.width + e.x[its])
+            if len(pixels) >= VISIBLE_PX:
+                wanted += 1
+                found += int(2 * called[its].sum() >= len(its))
     return Count(right, clusters, 0), Count(found, 0, wanted)

@@ -37,17 +37,17 @@ class Recipe:
     """How a network is trained."""
 
     seed: int = 0
-    scenes: int = 90
+    scenes: int = 110
     """Scenes that are learned from."""
     held_out: int = 16
     """Scenes of other flights that it is judged by."""
-    updates: int = 5_000
+    updates: int = 4_000
     """Steps of the optimiser."""
     part_events: int = 12_000
     """Events of a step, one stretch of one scene."""
     cold_events: int = 1_500
     """First events of a stretch that do not count: what came before them is not known."""
-    keep_events: int = 60_000
+    keep_events: int = 150_000
     """Events of a scene that are kept, one stretch of it."""
     rate: float = 4e-3
     """Largest learning rate; it falls to a hundredth along half a cosine."""

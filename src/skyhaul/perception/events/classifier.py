@@ -102,7 +102,7 @@ class EventNetwork:
         network = NetworkMemory(
             graph=nodes,
             found=no_neighbours(graph),
-            features=np.zeros((rows, row), np.float32),
+            features=np.full((rows, row), 0.0, np.float32),  # touched now, not at each first event
             score=np.zeros(rows, np.float32),
             pool=pool_memory(lens.width, lens.height, self.weights.cell_px),
             work=np.zeros(7, np.int64),
