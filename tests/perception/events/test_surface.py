@@ -131,7 +131,10 @@ def test_one_that_lies_far_off_the_plane_counts_little():
 
 
 def test_the_shipped_network_tells_a_flying_disc_from_walls_that_pass():
-    """A camera flies by striped walls; a dark disc crosses the other way, faster than they do."""
+    """A camera flies by striped walls; a dark disc crosses the other way, faster than they do.
+
+    Far from what it was trained on, so that it is asked to rank, not to be sure.
+    """
     lens = event_lens(Equidistant.from_fov((80, 60), 90.0))
     rate, v_C, radius = np.array([0.05, 0.15, 0.0]), np.array([0.8, 0.0, 0.2]), 5.0
     wall = walls(lens, rate, v_C, 3.0, 0.8)
@@ -151,5 +154,7 @@ def test_the_shipped_network_tells_a_flying_disc_from_walls_that_pass():
     x, y = middle(t_s[:, 0])
     of_disc = np.abs(np.hypot(events.x - x, events.y - y) - radius) < 1.5
     warm = events.t_us > 150_000
-    assert scores.mover[warm & of_disc].mean() > 0.5
-    assert scores.mover[warm & ~of_disc].mean() < 0.1
+    disc = scores.p_mover[warm & of_disc].mean()
+    wall_events = scores.p_mover[warm & ~of_disc].mean()
+    assert disc > 4.0 * wall_events, (disc, wall_events)
+    assert scores.mover[warm & ~of_disc].mean() < 0.05
