@@ -36,6 +36,15 @@ def njit_ieee(function: F) -> F:
     return cast(F, _following_sources(compiled))
 
 
+def njit_inner(function: F) -> F:
+    """For the inside of a hot loop: always inlined, sums in any order, no check of divisors."""
+    compiled = numba.njit(
+        cache=True, nogil=True, error_model="numpy", forceinline=True,
+        fastmath={"contract", "reassoc"},
+    )(function)  # fmt: skip
+    return cast(F, _following_sources(compiled))
+
+
 def _following_sources(dispatcher: Any) -> Any:  # noqa: ANN401  numba has no types
     """Make the digest of the sources a part of the cache's version, which is looked at first."""
     file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)

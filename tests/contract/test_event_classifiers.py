@@ -9,12 +9,13 @@ from skyhaul.perception.events.classifier import EventNetwork
 from skyhaul.perception.events.graph import GraphParams
 from skyhaul.perception.events.lens import event_lens
 from skyhaul.perception.events.timestamp import TimestampParams
-from skyhaul.perception.events.weights import random_weights
+from skyhaul.perception.events.weights import random_weights, shipped_weights
 from skyhaul.sensors.api import EventReading
 
 CLASSIFIERS = {
     "timestamp": TimestampParams(),
     "network-shared": EventNetwork(random_weights(GraphParams(), has_table=False)),
+    "network-shipped": EventNetwork(shipped_weights()),
     "network-table": EventNetwork(random_weights(GraphParams(), has_table=True)),
 }
 LENS = event_lens(RadTan.from_fov((50, 40), 60.0))
@@ -91,6 +92,15 @@ def test_an_empty_reading_is_no_event(classifier):
     assert classifier.work(memory).events == 0
     memory, _ = run(classifier, [*events(), (empty, np.zeros((0, 3))), *events(steps=0)])
     assert classifier.work(memory).events == 1000
+
+
+@every_classifier
+def test_a_camera_that_only_turns_has_no_velocity(classifier):
+    for reading, turn_C in events(steps=2):
+        still = np.zeros((len(reading.t_us), 3))
+        _, told = classifier.step(classifier.init(LENS), reading, turn_C, still)
+        _, untold = classifier.step(classifier.init(LENS), reading, turn_C)
+        np.testing.assert_array_equal(told.p_mover, untold.p_mover)
 
 
 @every_classifier

@@ -79,10 +79,10 @@ def load(args: argparse.Namespace) -> Job:
 
 
 def classifier_of(args: argparse.Namespace) -> EventClassifier[Any]:
-    """The network if weights are given, else the recipe that needs none."""
-    if args.weights is not None:
-        return NetworkParams(weights=str(args.weights)).build()
-    return TimestampParams()
+    """The network, with the weights that ship or with those of a file, or the recipe."""
+    if args.kind == "timestamp":
+        return TimestampParams()
+    return NetworkParams(weights=None if args.weights is None else str(args.weights)).build()
 
 
 def readings(job: Job) -> Iterator[tuple[TimeUs, EventReading, Array]]:

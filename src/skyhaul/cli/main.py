@@ -64,6 +64,9 @@ def parser() -> argparse.ArgumentParser:
         "events", parents=[shared], help="what moves in a recording of an event camera"
     ))  # fmt: skip
 
+    _add_train_events(
+        commands.add_parser("train-events", parents=[shared], help="train the event network")
+    )
     doctor = commands.add_parser(
         "doctor", parents=[shared], help="what this machine has and what a team can bear"
     )
@@ -105,6 +108,10 @@ def command(name: str) -> Callable[[argparse.Namespace], int]:
             from skyhaul.cli.events import events
 
             return events
+        case "train-events":
+            from skyhaul.cli.train_events import train_events
+
+            return train_events
         case _:
             from skyhaul.cli.doctor import doctor
 
@@ -196,8 +203,39 @@ def _add_events(to: argparse.ArgumentParser) -> None:
         metavar=("WX", "WY", "WZ"),
         help="the camera's angular rate in its own axes [rad/s] (default: motion.txt, or none)",
     )
-    to.add_argument("--weights", type=Path, metavar="FILE", help="event network (.npz) to use")
+    to.add_argument(
+        "--kind",
+        choices=("network", "timestamp"),
+        default="network",
+        help="what tells movers (default: network)",
+    )
+    to.add_argument(
+        "--weights", type=Path, metavar="FILE", help="the network's weights (default: the shipped)"
+    )
     to.add_argument("--out", type=Path, metavar="DIR", help="write a video of movers and tracks")
+
+
+def _add_train_events(to: argparse.ArgumentParser) -> None:
+    to.add_argument(
+        "--out", type=Path, metavar="FILE", default=Path("event-network.npz"),
+        help="weights file to write (default: event-network.npz)",
+    )  # fmt: skip
+    to.add_argument(
+        "--work", type=Path, metavar="DIR", default=Path("train-events"),
+        help="folder for flights, scenes and checkpoints; a training that was broken off goes on "
+        "from it (default: train-events)",
+    )  # fmt: skip
+    to.add_argument("--seed", type=_seed, default=0, help="draws scenes and training (default: 0)")
+    to.add_argument("--scenes", type=int, default=110, help="scenes to learn from (default: 110)")
+    to.add_argument(
+        "--held-out", type=int, default=16, help="scenes of other flights to judge by (default: 16)"
+    )
+    to.add_argument(
+        "--updates", type=int, default=4000, help="steps of the optimiser (default: 4000)"
+    )
+    to.add_argument(
+        "--no-edge-term", action="store_true", help="leave e_ij out of the network: an ablation"
+    )
 
 
 def _add_scenario(to: argparse.ArgumentParser) -> None:

@@ -11,6 +11,7 @@ from skyhaul.perception.events.graph import EDGE, GraphParams, event_graph
 from skyhaul.perception.events.lens import event_lens
 from skyhaul.perception.events.recordings import read_calibration, read_rate, read_recording
 from skyhaul.perception.events.rotation import TurnMemory, turn_at
+from skyhaul.perception.events.surface import INPUTS, PLANE_EDGE, PLANE_NODE
 from skyhaul.perception.events.weights import WIDTH, random_weights
 from skyhaul.sensors.api import EventReading
 
@@ -83,18 +84,23 @@ def test_chunks_change_no_bit(lens, stream, has_table):
 
 
 @both
-def test_output_changes_when_time_is_scaled_and_only_through_the_edge_term(lens, stream, has_table):
+def test_output_changes_when_time_is_scaled_and_only_through_what_measures_it(
+    lens, stream, has_table
+):
+    """Blind is a network without the edge term whose nodes start with polarity and 1 only."""
     events, turn_C = stream
     slow = EventReading(3 * events.t_us, events.x, events.y, events.p)
     # a window, a period and no refractory time, so that the graph and the pooling stay the same
     graph = GraphParams(window_us=10**6, refractory_us=0)
     weights = replace(random_weights(graph, has_table=has_table), period_us=10**7)
-    blind = replace(
-        weights,
-        layers=tuple(
-            replace(layer, edge=np.zeros((EDGE, WIDTH), np.float32)) for layer in weights.layers
-        ),
-    )
+    layers = [replace(layer, edge=np.zeros((EDGE, WIDTH), np.float32)) for layer in weights.layers]
+    known = (np.arange(INPUTS) < 2).astype(np.float32)[:, None]
+    first = replace(layers[0], root=layers[0].root * known)
+    if has_table:
+        first = replace(first, table=first.table * known)
+    else:
+        first = replace(first, mix=first.mix * known)
+    blind = replace(weights, layers=(first, *layers[1:]))
 
     def change(w):
         a, b = (in_chunks(EventNetwork(w), lens, e, turn_C, [])[0] for e in (events, slow))
@@ -128,18 +134,20 @@ def test_pruning_saves_work_and_changes_no_bit(lens, stream):
 
 @both
 def test_multiply_adds_are_those_of_the_equations(lens, stream, has_table):
-    """Layer sizes times the nodes and edges that were evaluated; layer 0 is padded to 4 inputs."""
+    """Layer sizes times the nodes and edges that were evaluated, and the plane through times."""
     network = EventNetwork(random_weights(GRAPH, has_table=has_table), prune=False)
     _, _, memory = in_chunks(network, lens, *stream, [])
     done = network.work(memory)
     graph = event_graph(GRAPH, lens, *stream)
     edges = np.isin(graph.target, np.flatnonzero(graph.status == 0)).sum()
-    inputs = 4 + 3 * WIDTH
+    inputs = 4 * WIDTH
     node = (inputs + 4 * EDGE) * WIDTH + (WIDTH + 1) * WIDTH + 2 * WIDTH
-    if has_table:
-        wanted = done.evaluated * node + edges * inputs * WIDTH
-    else:
-        wanted = done.evaluated * (node + inputs * WIDTH) + edges * 4 * WIDTH
+    per_edge = inputs * WIDTH if has_table else inputs
+    nodes = done.events - done.refractory
+    surface = nodes * PLANE_NODE + len(graph.source) * PLANE_EDGE
+    wanted = done.evaluated * node + edges * per_edge + surface
+    if not has_table:
+        wanted += done.evaluated * inputs * WIDTH
     assert done.multiply_adds == wanted
 
 

@@ -8,7 +8,13 @@ import pytest
 from skyhaul.errors import FileError
 from skyhaul.perception.events.classifier import NetworkParams
 from skyhaul.perception.events.graph import GraphParams
-from skyhaul.perception.events.weights import load_weights, random_weights, save_weights
+from skyhaul.perception.events.weights import (
+    SHIPPED,
+    load_weights,
+    random_weights,
+    save_weights,
+    shipped_weights,
+)
 
 WEIGHTS = random_weights(GraphParams(window_us=15_000), has_table=False, seed=2)
 
@@ -73,3 +79,16 @@ def test_no_weights_file_is_refused(tmp_path):
     for name in ("none.npz", "text.npz"):
         with pytest.raises(FileError, match=name):
             load_weights(tmp_path / name)
+
+
+def test_the_weights_that_ship_say_how_they_were_made():
+    assert SHIPPED.stat().st_size < 1_000_000
+    record = shipped_weights().record
+    assert record["trained"] == 1
+    for key in ("seed", "scenes", "updates", "flights", "held_out_flights", "scene_recipe", "f1"):
+        assert key in record, key
+    curve = np.reshape(record["curve_updates_loss_f1"], (-1, 3))
+    assert curve[-1, 0] == record["updates"]
+    assert curve[-1, 1] < curve[0, 1]
+    flown, held_out = (set(str(record[k]).split(", ")) for k in ("flights", "held_out_flights"))
+    assert not flown & held_out

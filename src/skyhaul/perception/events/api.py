@@ -74,9 +74,20 @@ class EventClassifier(Protocol[Memory]):
         ...
 
     def step(
-        self, memory: Memory, events: EventReading, turn_C: Array
+        self,
+        memory: Memory,
+        events: EventReading,
+        turn_C: Array,
+        v_WC_C: Array | None = None,
     ) -> tuple[Memory, EventScores]:
-        """Score events; `turn_C` (k, 3) [rad] is how far the camera had turned at each."""
+        """Score events of a camera whose motion is known.
+
+        Args:
+            memory: From the call before.
+            events: k events after those of the call before.
+            turn_C: How far the camera had turned at each, (k, 3) [rad].
+            v_WC_C: Its velocity at each, in its own axes, (k, 3) [m/s]; None: it only turns.
+        """
         ...
 
     def work(self, memory: Memory) -> Work:

@@ -30,7 +30,7 @@ def evaluate(
 ) -> BatchResult:  # fmt: skip
     """All events of a stream from its first one, cells at a stamp not before its last."""
     runs = graph.status == EVALUATED
-    h = np.column_stack([events.p.astype(np.float64), np.ones(len(runs))])
+    h = graph.inputs.astype(np.float64)
     for i, layer in enumerate(weights.layers):
         h = np.where(runs[:, None], convolve(layer, h, graph, residual=i > 0), 0.0)
     rows, cols = -(-lens.height // weights.cell_px), -(-lens.width // weights.cell_px)

@@ -11,11 +11,13 @@ import numpy as np
 from skyhaul.params import Params
 from skyhaul.perception.events.api import EventScores, Work
 from skyhaul.perception.events.graph import (
+    EDGE,
     GraphParams,
     GraphRules,
     graph_memory,
     graph_rules,
     no_neighbours,
+    stream_of,
 )
 from skyhaul.perception.events.lens import EventLens
 from skyhaul.perception.events.network import (
@@ -33,6 +35,8 @@ from skyhaul.perception.events.network import (
     run_events,
 )
 from skyhaul.perception.events.weights import (
+    SHIPPED,
+    STACK,
     WIDTH,
     NetworkWeights,
     PackedWeights,
@@ -48,8 +52,8 @@ class NetworkParams(Params):
     """Which weights, and what is skipped."""
 
     kind: Literal["network"] = "network"
-    weights: str
-    """Weights file (.npz)."""
+    weights: str | None = None
+    """Weights file (.npz); None: the one that comes with the package."""
     min_neighbours: int | None = None
     """Insertion skip, instead of the weights' own; 0 evaluates every node."""
     refractory_us: int | None = None
@@ -59,7 +63,7 @@ class NetworkParams(Params):
 
     def build(self) -> "EventNetwork":
         """Read the weights."""
-        weights = load_weights(Path(self.weights))
+        weights = load_weights(SHIPPED if self.weights is None else Path(self.weights))
         skip = {k: v for k in ("min_neighbours", "refractory_us")
                 if (v := getattr(self, k)) is not None}  # fmt: skip
         graph: GraphParams = replace(weights.graph, **skip)
@@ -93,26 +97,33 @@ class EventNetwork:
     def init(self, lens: EventLens) -> LensAndMemory:
         """See `EventClassifier.init`."""
         graph, row = self.weights.graph, len(self.weights.layers) * WIDTH
+        nodes = graph_memory(graph, lens.width, lens.height)
+        rows = len(nodes.t_us)
         network = NetworkMemory(
-            graph=graph_memory(graph, lens.width, lens.height),
+            graph=nodes,
             found=no_neighbours(graph),
-            features=np.zeros((graph.capacity, row), np.float32),
-            score=np.zeros(graph.capacity, np.float32),
+            features=np.full((rows, row), 0.0, np.float32),  # touched now, not at each first event
+            score=np.zeros(rows, np.float32),
             pool=pool_memory(lens.width, lens.height, self.weights.cell_px),
             work=np.zeros(7, np.int64),
-            scratch=np.zeros((2, row), np.float32),
+            scratch=np.zeros((3, row), np.float32),
+            stacked=np.eye(1, STACK, 2 * WIDTH + EDGE, dtype=np.float32)[0],
         )
         return LensAndMemory(lens, network)
 
     def step(
-        self, memory: LensAndMemory, events: EventReading, turn_C: Array
+        self,
+        memory: LensAndMemory,
+        events: EventReading,
+        turn_C: Array,
+        v_WC_C: Array | None = None,
     ) -> tuple[LensAndMemory, EventScores]:
         """See `EventClassifier.step`."""
         rules, pooling = self._rules
         lens, network = memory.lens, memory.network
         p_mover = np.empty(len(events.t_us), np.float32)
-        run_events(events.t_us, events.x, events.y, events.p, turn_C, lens.turn_flow, rules,
-                   pooling, self._packed, network, p_mover)  # fmt: skip
+        stream = stream_of(lens, events, turn_C, v_WC_C)
+        run_events(stream, rules, pooling, self._packed, network, p_mover)
         newest = int(events.t_us[-1]) if len(events.t_us) else _newest_us(network)
         cells = np.empty(network.pool.objectness.shape, np.float32)
         cells_at(newest, pooling, self._packed, network, cells)
@@ -134,5 +145,4 @@ class EventNetwork:
 
 def _newest_us(network: NetworkMemory) -> int:
     """Time of the newest node, 0 without one."""
-    total = int(network.graph.total[0])
-    return int(network.graph.t_us[(total - 1) & (len(network.graph.t_us) - 1)]) if total else 0
+    return max(int(network.graph.t_us.max()), 0)

@@ -14,9 +14,8 @@ Deviation: The paper prints two rules that differ and drops the term in e_ij; he
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyhaul.jit import njit
+from skyhaul.jit import njit, njit_inner
 from skyhaul.perception.events.api import Float32
 from skyhaul.perception.events.graph import (
     EDGE,
@@ -25,10 +24,12 @@ from skyhaul.perception.events.graph import (
     GraphMemory,
     GraphRules,
     Neighbours,
+    Stream,
     insert,
 )
-from skyhaul.perception.events.weights import WIDTH, PackedWeights
-from skyhaul.types import Array, IntArray
+from skyhaul.perception.events.surface import INPUTS, PLANE_EDGE, PLANE_NODE
+from skyhaul.perception.events.weights import STACK, WIDTH, PackedWeights
+from skyhaul.types import IntArray
 
 # mypy: disable-error-code="no-any-return"
 
@@ -53,11 +54,12 @@ class NetworkMemory(NamedTuple):
 
     graph: GraphMemory
     found: Neighbours
-    features: Float32  # (capacity, L * C) inputs of every layer, of each node
-    score: Float32  # (capacity,) p_mover of each node
+    features: Float32  # (rows, L * C) inputs of every layer, of each node
+    score: Float32  # (rows,) p_mover of each node
     pool: PoolMemory
     work: IntArray  # (7,)
-    scratch: Float32  # (2, max(L, 2) * C) sums over neighbours; a layer's input and output
+    scratch: Float32  # (3, L * C) means over neighbours; a layer's output; the node's row
+    stacked: Float32  # (STACK,) what a layer multiplies; ends with 1 and zeros
 
 
 class PoolRules(NamedTuple):
@@ -82,39 +84,39 @@ def pool_memory(width: int, height: int, cell_px: int) -> PoolMemory:
 
 @njit
 def run_events(
-    t_us: IntArray, x: NDArray[np.int16], y: NDArray[np.int16], p: NDArray[np.int8],
-    turn_C: Array, flow: Float32, rules: GraphRules, pooling: PoolRules,
-    weights: PackedWeights, memory: NetworkMemory, p_mover: Float32,
+    stream: Stream, rules: GraphRules, pooling: PoolRules, weights: PackedWeights,
+    memory: NetworkMemory, p_mover: Float32,
 ) -> None:  # fmt: skip
     """Take events in one by one and write the probability of each."""
-    work = memory.work
-    for i in range(t_us.shape[0]):
+    work, acc, node = memory.work, memory.scratch[1], memory.scratch[2]
+    for i in range(stream.t_us.shape[0]):
         work[EVENTS] += 1
-        kind, n, row = insert(
-            t_us[i], x[i], y[i], p[i], turn_C[i], flow, rules, memory.graph, memory.found
-        )
+        kind, n, row = insert(i, stream, rules, memory.graph, memory.found)
         if kind == REFRACTORY:
             work[REFRACTORY_COUNT] += 1
             p_mover[i] = memory.score[row]
             continue
         work[EDGES] += n
-        node = memory.features[row]
-        node[:] = np.float32(0.0)
-        node[0], node[1] = p[i], np.float32(1.0)
+        work[MULTIPLY_ADDS] += PLANE_NODE + n * PLANE_EDGE
+        for c in range(INPUTS):
+            node[c] = memory.found.inputs[c]
         if kind == EVALUATED:
-            _layers(n, node, weights, memory)
-            cy, cx = y[i] // pooling.cell_px, x[i] // pooling.cell_px
-            h = memory.scratch[1, :WIDTH]
-            _pool(h, cy, cx, t_us[i] // pooling.period_us, pooling.prune, weights, memory)
-            memory.score[row] = _sigmoid(
-                weights.output_bias[1]
-                + _dot(h, weights.outputs[1])
-                + _dot(memory.pool.context[cy, cx], weights.outputs[2])
-            )
+            _layers(n, weights, memory)
+            cy, cx = stream.y[i] // pooling.cell_px, stream.x[i] // pooling.cell_px
+            _pool(acc, cy, cx, stream.t_us[i] // pooling.period_us, pooling.prune, weights, memory)
+            logit = weights.output_bias[1]
+            for c in range(WIDTH):
+                context = memory.pool.context[cy, cx, c]
+                logit += acc[c] * weights.outputs[1, c] + context * weights.outputs[2, c]
+            memory.score[row] = _sigmoid(logit)
             work[MULTIPLY_ADDS] += 2 * WIDTH
         else:
             work[LONELY_COUNT] += 1
+            for c in range(WIDTH, node.shape[0]):
+                node[c] = np.float32(0.0)
             memory.score[row] = np.float32(0.0)
+        for c in range(node.shape[0]):
+            memory.features[row, c] = node[c]
         p_mover[i] = memory.score[row]
 
 
@@ -138,65 +140,99 @@ def cells_at(
                 out[cy, cx] = empty
 
 
-@njit
-def _layers(n: int, node: Float32, weights: PackedWeights, memory: NetworkMemory) -> None:
-    """All layers of one node: inputs of layers 1.. into `node`, the last output to scratch[1]."""
-    count, tables = weights.root.shape[0], weights.table.shape[0] > 0
-    sums, acc = memory.scratch[0], memory.scratch[1]
+@njit_inner
+def _layers(n: int, weights: PackedWeights, memory: NetworkMemory) -> None:
+    """All layers of one node: inputs of layers 1.. to scratch[2], the last output to scratch[1]."""
+    count, tables = weights.stack.shape[0], weights.table.shape[0] > 0
+    sums, acc, node = memory.scratch[0], memory.scratch[1], memory.scratch[2]
+    z = memory.stacked
     share = np.float32(1.0) / np.float32(max(n, 1))
-    rows, macs = 4, 0
-    if not tables:
-        _scaled_sums(n, count * WIDTH, weights.scale, memory, sums)
-        macs += n * count * WIDTH
+    macs = count * (WIDTH + EDGE) * WIDTH
+    for c in range(EDGE):
+        z[2 * WIDTH + c] = memory.found.mean_edge[c]
+    if tables:
+        macs += count * n * WIDTH * WIDTH
+    else:
+        _scaled_sums(n, share, weights.scale, memory, sums)
+        macs += count * (n + WIDTH) * WIDTH
     for layer in range(count):
         first = layer * WIDTH
         for c in range(WIDTH):
             acc[c] = np.float32(0.0)
+            z[c] = node[first + c]
+            z[WIDTH + c] = sums[first + c]
         if tables:
             for m in range(n):
-                other = memory.features[memory.found.node[m]]
-                table = weights.table[layer, memory.found.offset[m]]
-                _add_product(other, first, rows, table, acc)
-            macs += n * rows * WIDTH
-        else:
-            _add_product(sums, first, rows, weights.mix[layer], acc)
-            macs += rows * WIDTH
-        for c in range(WIDTH):
-            acc[c] = share * acc[c] + weights.bias[layer, c]
-        _add_product(node, first, rows, weights.root[layer], acc)
-        _add_product(memory.found.mean_edge, 0, EDGE, weights.edge[layer], acc)
-        macs += (rows + EDGE) * WIDTH
+                _add_table(memory.features, memory.found.node[m], first, weights.table, layer,
+                           memory.found.offset[m], acc)  # fmt: skip
+            for c in range(WIDTH):
+                acc[c] *= share
+        _add_stack(z, weights.stack, layer, acc)
         for c in range(WIDTH):
             acc[c] = max(acc[c], np.float32(0.0))
-            if layer > 0:
+        if layer > 0:
+            for c in range(WIDTH):
                 acc[c] += node[first + c]
-            if layer + 1 < count:
+        if layer + 1 < count:
+            for c in range(WIDTH):
                 node[first + WIDTH + c] = acc[c]
-        rows = WIDTH
     memory.work[MULTIPLY_ADDS] += macs
 
 
-@njit
-def _scaled_sums(n: int, width: int, scale: Float32, memory: NetworkMemory, sums: Float32) -> None:
-    """Sum over neighbours of scale[offset] * h_j, for the inputs of all layers at once."""
+@njit_inner
+def _scaled_sums(
+    n: int, share: np.float32, scale: Float32, memory: NetworkMemory, sums: Float32
+) -> None:
+    """Mean over neighbours of scale[offset] * h_j, for the inputs of all layers at once."""
+    width = scale.shape[1]
     for c in range(width):
         sums[c] = np.float32(0.0)
     for m in range(n):
-        other, by = memory.features[memory.found.node[m]], scale[memory.found.offset[m]]
+        j, o = memory.found.node[m], memory.found.offset[m]
         for c in range(width):
-            sums[c] += by[c] * other[c]
+            sums[c] += scale[o, c] * memory.features[j, c]
+    for c in range(width):
+        sums[c] *= share
 
 
-@njit
-def _add_product(z: Float32, first: int, rows: int, W: Float32, acc: Float32) -> None:
-    """Add z[first : first + rows] @ W to acc; rows is a multiple of 4."""
-    for a in range(0, rows, 4):
-        z0, z1, z2, z3 = z[first + a], z[first + a + 1], z[first + a + 2], z[first + a + 3]
+@njit_inner
+def _add_stack(z: Float32, stack: Float32, layer: int, acc: Float32) -> None:
+    """Add z @ stack[layer] to acc, eight rows at a time."""
+    for a in range(0, STACK, 8):
+        z0, z1, z2, z3 = z[a], z[a + 1], z[a + 2], z[a + 3]
+        z4, z5, z6, z7 = z[a + 4], z[a + 5], z[a + 6], z[a + 7]
         for c in range(WIDTH):
-            acc[c] += z0 * W[a, c] + z1 * W[a + 1, c] + z2 * W[a + 2, c] + z3 * W[a + 3, c]
+            acc[c] += (
+                z0 * stack[layer, a, c] + z1 * stack[layer, a + 1, c]
+                + z2 * stack[layer, a + 2, c] + z3 * stack[layer, a + 3, c]
+                + z4 * stack[layer, a + 4, c] + z5 * stack[layer, a + 5, c]
+                + z6 * stack[layer, a + 6, c] + z7 * stack[layer, a + 7, c]
+            )  # fmt: skip
 
 
-@njit
+@njit_inner
+def _add_table(
+    features: Float32, row: int, first: int, table: Float32, layer: int, offset: int, acc: Float32
+) -> None:
+    """Add a neighbour's inputs of a layer, times its entry of the table, to acc."""
+    for a in range(0, WIDTH, 8):
+        f = first + a
+        z0, z1, z2, z3 = (
+            features[row, f], features[row, f + 1], features[row, f + 2], features[row, f + 3]
+        )  # fmt: skip
+        z4, z5, z6, z7 = (
+            features[row, f + 4], features[row, f + 5], features[row, f + 6], features[row, f + 7]
+        )  # fmt: skip
+        for c in range(WIDTH):
+            acc[c] += (
+                z0 * table[layer, offset, a, c] + z1 * table[layer, offset, a + 1, c]
+                + z2 * table[layer, offset, a + 2, c] + z3 * table[layer, offset, a + 3, c]
+                + z4 * table[layer, offset, a + 4, c] + z5 * table[layer, offset, a + 5, c]
+                + z6 * table[layer, offset, a + 6, c] + z7 * table[layer, offset, a + 7, c]
+            )  # fmt: skip
+
+
+@njit_inner
 def _pool(
     h: Float32, cy: int, cx: int, period: int, prune: bool, weights: PackedWeights,
     memory: NetworkMemory,
@@ -224,7 +260,7 @@ def _pool(
     pool.objectness[cy, cx] = _cell_layers(now, before, weights, pool.context[cy, cx])
 
 
-@njit
+@njit_inner
 def _cell_layers(
     now: Float32, before: Float32, weights: PackedWeights, context: Float32
 ) -> np.float32:
@@ -240,7 +276,7 @@ def _cell_layers(
     return _sigmoid(weights.output_bias[0] + _dot(context, weights.outputs[0]))
 
 
-@njit
+@njit_inner
 def _dot(a: Float32, b: Float32) -> np.float32:
     total = np.float32(0.0)
     for c in range(WIDTH):
@@ -248,6 +284,6 @@ def _dot(a: Float32, b: Float32) -> np.float32:
     return total
 
 
-@njit
+@njit_inner
 def _sigmoid(z: np.float32) -> np.float32:
     return np.float32(1.0 / (1.0 + np.exp(-z)))

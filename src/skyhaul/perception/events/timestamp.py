@@ -83,9 +83,16 @@ class TimestampParams(Params):
         return WindowMemory(lens, empty, np.zeros((0, 3)))
 
     def step(
-        self, memory: WindowMemory, events: EventReading, turn_C: Array
+        self,
+        memory: WindowMemory,
+        events: EventReading,
+        turn_C: Array,
+        v_WC_C: Array | None = None,
     ) -> tuple[WindowMemory, EventScores]:
-        """See `EventClassifier.step`; a reading of some 10 ms is what it judges best."""
+        """See `EventClassifier.step`; a reading of some 10 ms is what it judges best.
+
+        The camera's velocity is not used.
+        """
         k, lens = len(events.t_us), memory.lens
         shape = (-(-lens.height // self.cell_px), -(-lens.width // self.cell_px))
         if k == 0:

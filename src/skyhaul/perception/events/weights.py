@@ -5,9 +5,9 @@ With h a row vector of C = 16 features, layer l is
 
     h_i' = h_i + relu(h_i @ root + mean_j [h_j @ W(dx, dy) + e_ij @ edge] + bias)
 
-(layer 0 has two inputs, polarity and 1, and no residual), where W(dx, dy) is either a look-up
-table, `table[offset]`, or diag(scale[offset]) @ mix. The head takes the maximum m of h over the
-events of a cell and two pooling periods, z = relu(m @ cell + cell_bias), and gives
+(layer 0 has the inputs of `surface.node_inputs` and no residual), where W(dx, dy) is either a
+look-up table, `table[offset]`, or diag(scale[offset]) @ mix. The head takes the maximum m of h
+over the events of a cell and two pooling periods, z = relu(m @ cell + cell_bias), and gives
 
     objectness = sigmoid(z @ objectness + objectness_bias)           of the cell
     p_mover    = sigmoid(h @ event + z @ context + event_bias)       of an event in it
@@ -27,15 +27,16 @@ import numpy as np
 from skyhaul.errors import FileError
 from skyhaul.perception.events.api import Float32
 from skyhaul.perception.events.graph import EDGE, GraphParams, spiral
+from skyhaul.perception.events.surface import INPUTS
 from skyhaul.types import frozen
 
 WIDTH = 16
 """C: channels of every layer."""
 
-INPUTS = 2
-"""What a node starts with: its polarity and 1."""
+FORMAT = 2
 
-FORMAT = 1
+SHIPPED = Path(__file__).with_name("event_network.npz")
+"""The weights that come with the package."""
 
 Record = dict[str, str | int | float | list[float]]
 """How weights came about: seed, recipe of the data, curve. Free keys, plain values."""
@@ -93,15 +94,16 @@ class NetworkWeights:
         return {name: array for name, array in named.items() if array is not None}
 
 
-class PackedWeights(NamedTuple):
-    """Weights as the kernels read them; inputs of layer 0 are padded with zeros to C."""
+STACK = 2 * WIDTH + 8
+"""Rows of a layer's stacked matrices: root, mix, edge, bias, and zeros."""
 
-    root: Float32  # (L, C, C)
-    mix: Float32  # (L, C, C); empty with tables
+
+class PackedWeights(NamedTuple):
+    """Weights as the kernels read them."""
+
+    stack: Float32  # (L, STACK, C) root, mix (zero with tables), edge, bias, zeros
     scale: Float32  # (offsets, L * C); empty with tables
     table: Float32  # (L, offsets, C, C); empty without
-    edge: Float32  # (L, EDGE, C)
-    bias: Float32  # (L, C)
     cell: Float32  # (C, C)
     cell_bias: Float32  # (C,)
     outputs: Float32  # (3, C) objectness, event, context
@@ -113,21 +115,20 @@ def packed(weights: NetworkWeights) -> PackedWeights:
     layers, head = weights.layers, weights.head
     offsets = len(spiral(weights.graph.radius_px))
     count = len(layers)
-    root, edge = np.zeros((count, WIDTH, WIDTH)), np.zeros((count, EDGE, WIDTH))
-    bias = np.zeros((count, WIDTH))
-    tables = count if weights.has_table else 0
-    mixes = 0 if weights.has_table else count
-    mix, scale = np.zeros((mixes, WIDTH, WIDTH)), np.zeros((offsets, mixes, WIDTH))
-    table = np.zeros((tables, offsets, WIDTH, WIDTH))
+    stack = np.zeros((count, STACK, WIDTH))
+    tables, mixes = (count, 0) if weights.has_table else (0, count)
+    scale, table = np.zeros((offsets, mixes, WIDTH)), np.zeros((tables, offsets, WIDTH, WIDTH))
     for i, layer in enumerate(layers):
         inputs = len(layer.root)
-        root[i, :inputs], edge[i], bias[i] = layer.root, layer.edge, layer.bias
+        stack[i, :inputs] = layer.root
+        stack[i, 2 * WIDTH : 2 * WIDTH + EDGE] = layer.edge
+        stack[i, 2 * WIDTH + EDGE] = layer.bias
         if layer.table is not None:
             table[i, :, :inputs] = layer.table
         if layer.mix is not None and layer.scale is not None:
-            mix[i, :inputs], scale[:, i, :inputs] = layer.mix, layer.scale
-    rows = (root, mix, scale.reshape(offsets, mixes * WIDTH), table, edge, bias, head.cell,
-            head.cell_bias, np.stack([head.objectness, head.event, head.context]),
+            stack[i, WIDTH : WIDTH + inputs], scale[:, i, :inputs] = layer.mix, layer.scale
+    rows = (stack, scale.reshape(offsets, mixes * WIDTH), table, head.cell, head.cell_bias,
+            np.stack([head.objectness, head.event, head.context]),
             np.concatenate([head.objectness_bias, head.event_bias]))  # fmt: skip
     return PackedWeights(*(np.ascontiguousarray(a, dtype=np.float32) for a in rows))
 
@@ -182,6 +183,11 @@ def save_weights(weights: NetworkWeights, path: Path) -> None:
     named: dict[str, Any] = {"about": np.array(json.dumps(about)), **weights.arrays()}
     with path.open("wb") as file:
         np.savez_compressed(file, **named)
+
+
+def shipped_weights() -> NetworkWeights:
+    """The weights that come with the package, made by `skyhaul train-events`."""
+    return load_weights(SHIPPED)
 
 
 def load_weights(path: Path) -> NetworkWeights:
