@@ -23,6 +23,7 @@ from skyhaul.sensors.events.camera import EventCamera, EventParams, camera_motio
 from skyhaul.sensors.events.pixels import EventPixels
 from skyhaul.sensors.imaging.scene import Scene, build_scene
 from skyhaul.sensors.imu import imu_bank
+from skyhaul.sensors.optics import LensParams
 from skyhaul.sensors.rig import EventCameraMount
 from skyhaul.sensors.suite import motion_of
 from skyhaul.sensors.truth_track import TruthTrack
@@ -165,8 +166,7 @@ def _mount(rng: np.random.Generator, recipe: SceneRecipe) -> EventCameraMount:
     mount = EventCameraMount()
     if rng.random() < recipe.narrow_share:
         fov = float(rng.uniform(50.0, 90.0))
-        model: CameraModel = RadTan.from_fov((160, 120), fov)
-        return replace(mount, model=model)
+        return replace(mount, lens=LensParams(size_px=(160, 120), fov_deg=fov))
     return mount
 
 
