@@ -10,6 +10,7 @@ from skyhaul.mission.latency import Latency
 from skyhaul.mission.station import StationParams, TakeOffParams
 from skyhaul.mission.triggers import EventTrigger, ReplanTriggers, SolveTrigger
 from skyhaul.params import Params
+from skyhaul.perception.obstacles.from_events import EventObstacles
 from skyhaul.perception.obstacles.truth import TruthObstacles
 from skyhaul.perception.team.truth import TruthTeam
 from skyhaul.planning.config import PlanningConfig
@@ -23,8 +24,8 @@ class PerceptionConfig(Params):
 
     team: TruthTeam = field(default_factory=TruthTeam)
     """Where the team is."""
-    obstacles: TruthObstacles = field(default_factory=TruthObstacles)
-    """Where the obstacles are."""
+    obstacles: TruthObstacles | EventObstacles = field(default_factory=TruthObstacles)
+    """Where the obstacles are; `events` runs over recorded events, not in a flight."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skyhaul.errors import ConfigError
 from skyhaul.mission.api import Outcome, Phase, Recorder
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.crew import Crew
@@ -17,6 +18,7 @@ from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.mission.ticks import TickMaker
 from skyhaul.mission.vehicle import Actuation
 from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
+from skyhaul.perception.obstacles.truth import TruthObstacles
 from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.types import US_PER_S, TimeUs
 from skyhaul.world.scenario import GoTo
@@ -67,6 +69,21 @@ def fly(
     return outcome
 
 
+def _on_truth(config: RunConfig) -> TruthObstacles:
+    """The estimator of obstacles of a flight.
+
+    Raises:
+        ConfigError: When it is one that a flight has no readings for.
+    """
+    obstacles = config.perception.obstacles
+    if not isinstance(obstacles, TruthObstacles):
+        raise ConfigError(
+            f"perception.obstacles.kind: {obstacles.kind} runs over recorded events only; a flight "
+            "takes kind truth"
+        )
+    return obstacles
+
+
 class Flight:
     """Everything that lives during one flight."""
 
@@ -83,7 +100,8 @@ class Flight:
         self._shapes = tuple(o.shape for o in config.world.obstacles)
         self._seen = config.sensors.objects.init(len(self._shapes))
         self._team_memory = config.perception.team.init()
-        self._obstacle_memory = config.perception.obstacles.init()
+        self._obstacles = _on_truth(config)
+        self._obstacle_memory = self._obstacles.init()
 
     def run(self, progress: ShowProgress | None) -> Verdict:
         """Cycle until the judge ends the flight."""
@@ -125,7 +143,7 @@ class Flight:
         if t_us % OBSTACLE_PERIOD_US:
             return estimate, None
         self._seen, reading = sensors.objects.read(self._seen, self._truth, self._shapes)
-        self._obstacle_memory, obstacles = perception.obstacles.step(self._obstacle_memory, reading)
+        self._obstacle_memory, obstacles = self._obstacles.step(self._obstacle_memory, reading)
         return estimate, obstacles
 
     def _actuate(self, actuations: list[Actuation]) -> None:

@@ -6,10 +6,11 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from skyhaul.geometry.shapes import Shape
 from skyhaul.model.state import CableState, TeamState
-from skyhaul.sensors.api import ObjectsReading, TeamReading
+from skyhaul.sensors.api import TeamReading
 from skyhaul.types import Array, IntArray, Mask, TimeUs, frozen
 
 Memory = TypeVar("Memory")
+Reading = TypeVar("Reading", contravariant=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +97,16 @@ class TeamEstimator(Protocol[Memory]):
         ...
 
 
-class ObstacleEstimator(Protocol[Memory]):
-    """Readings -> obstacles. Stateful through an explicit memory."""
+class ObstacleEstimator(Protocol[Memory, Reading]):
+    """Readings -> obstacles. Stateful through an explicit memory.
+
+    Kinds differ in what they read: `truth` takes an `ObjectsReading`, `events` a `TeamSight`.
+    """
 
     def init(self) -> Memory:
         """Memory before the first reading."""
         ...
 
-    def step(self, memory: Memory, reading: ObjectsReading) -> tuple[Memory, ObstacleEstimate]:
+    def step(self, memory: Memory, reading: Reading) -> tuple[Memory, ObstacleEstimate]:
         """Take one reading in."""
         ...
