@@ -133,8 +133,9 @@ def _median(values: list[float]) -> float | None:
 def arguments() -> argparse.Namespace:
     """Flags."""
     parser = argparse.ArgumentParser(description="tracks of movers from the events of a team")
-    parser.add_argument("--scenarios", default="crossing,paper")
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument(
+        "--scenarios", default="crossing:10,paper:10", help="names, and how many seeds of each"
+    )
     parser.add_argument(
         "--classifier", default="labels", choices=("labels", "timestamp", "network")
     )
@@ -150,9 +151,10 @@ def main() -> None:
     """Run, print, write."""
     args = arguments()
     tables = {}
-    for scenario in args.scenarios.split(","):
+    for case in args.scenarios.split(","):
+        scenario, _, seeds = case.partition(":")
         done = []
-        for seed in range(args.seeds):
+        for seed in range(int(seeds or 1)):
             kept = args.folder / f"{scenario}-{seed}.{args.classifier}-{args.filter}.json"
             if args.again or not kept.exists():
                 kept.parent.mkdir(parents=True, exist_ok=True)

@@ -78,7 +78,7 @@ class BearingTracker(Params):
     rejoin_probability: float = 0.99
     """Gate within which a new track is taken for a lost one."""
     rejoin_m: float = 1.0
-    """Where both must be known at least so well, the standard deviation of their gap [m]."""
+    """Where the lost one is must be known so well, one standard deviation [m]."""
     tube_horizon_s: float = 2.0
     """Time over which predicted tubes hold [s]."""
     seed: int = 0
@@ -168,8 +168,7 @@ class _Step:
         limit = chi2_limit(self.rules.gate_probability, 2 + ranged.astype(int))
         cost = np.where(squared < limit, squared + log_det, _FAR)
         # what one camera alone has seen may be anywhere on its ray: others join it in `begin`
-        other = np.left_shift(1, z.camera % 62)[None] & self.book.cameras[:, None] == 0
-        cost[self._alone()[:, None] & other] = _FAR
+        cost[self._strange(z)] = _FAR
         for group in (self.book.confirmed & alive, ~self.book.confirmed):
             tracks = np.flatnonzero(group)
             if len(tracks) and len(free):
@@ -184,6 +183,12 @@ class _Step:
             free = free[~self._parts(rows(z, free))]
         return rows(z, free)
 
+    def _strange(self, z: Polar) -> Mask:
+        """Tracks that one camera alone has seen, against bearings of others, (n, k)."""
+        other = np.left_shift(1, z.camera % 62)[None] & self.book.cameras[:, None] == 0
+        strange: Mask = self._alone()[:, None] & other
+        return strange
+
     def _alone(self) -> Mask:
         """Tracks that one camera only has ever seen, and without a range."""
         bits = self.book.cameras
@@ -197,7 +202,8 @@ class _Step:
         rho = np.linalg.norm(rel, axis=-1)
         off = np.arccos(np.clip(np.einsum("nkc,kc->nk", rel, z.axes[:, 2]) / rho, -1.0, 1.0))
         half = np.arcsin(np.minimum(np.exp(m.log_radius)[:, None] / rho, 1.0))
-        within: Mask = np.any(off < 1.2 * half + z.half_angle, axis=0)
+        near = (off < 1.2 * half + z.half_angle) & ~self._strange(z)[self.hit]
+        within: Mask = np.any(near, axis=0)
         return within
 
     def _update(self, tracks: IntArray, z: Polar) -> None:
@@ -361,7 +367,7 @@ class _Step:
         size = np.abs(m.log_radius[new][:, None] - m.log_radius[old][None])
         fits = squared < chi2_limit(self.rules.rejoin_probability, np.array(3))
         fits &= size < np.log(self.rules.births.size_ratio)
-        fits &= np.linalg.eigvalsh(both)[..., -1] < self.rules.rejoin_m**2
+        fits &= np.linalg.eigvalsh(cov[old])[None, :, -1] < self.rules.rejoin_m**2
         i, j = linear_sum_assignment(np.where(fits, squared, _FAR))
         return [(int(new[a]), int(old[b])) for a, b in zip(i, j, strict=True) if fits[a, b]]
 
