@@ -84,8 +84,8 @@ def bearings_of(k: int, z: Array) -> Bearings:
     """Measurements as our tracker takes them."""
     n, p = len(z), cartesian(z)
     return Bearings(
-        PERIOD_US * k, 0, np.zeros(3), p / z[:, 2:], np.full(n, ANGLE_SIGMA), np.full(n, 0.05),
-        z[:, 2].copy(), np.full(n, RANGE_SIGMA_M),
+        PERIOD_US * k, 0, np.zeros(3), np.zeros(3), p / z[:, 2:], np.full(n, ANGLE_SIGMA),
+        np.full(n, 0.05), z[:, 2].copy(), np.full(n, RANGE_SIGMA_M), np.zeros(n), np.ones(n),
     )  # fmt: skip
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every tracker of moving obstacles must do. A new one adds one entry to TRACKERS."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,8 +38,9 @@ def seen(k, rng, *, hidden=False):
         rows = 0 if hidden else 1
         none = np.full(rows, np.nan)
         out.append(Bearings(
-            PERIOD_US * k, camera, c, (d / np.linalg.norm(d))[None][:rows], np.full(rows, 0.007),
-            np.full(rows, np.arcsin(0.25 / distance)), none, none.copy(),
+            PERIOD_US * k, camera, c, np.zeros(3), (d / np.linalg.norm(d))[None][:rows],
+            np.full(rows, 0.007), np.full(rows, np.arcsin(0.25 / distance)), none, none.copy(),
+            np.zeros(rows), np.ones(rows),
         ))  # fmt: skip
     return tuple(out)
 
@@ -45,11 +48,7 @@ def seen(k, rng, *, hidden=False):
 def follow(tracker, steps, hidden_from=10**9, move=(0.0, 0.0, 0.0)):
     rng, memory, out = np.random.default_rng(0), tracker.init(), []
     for k in range(steps):
-        rows = tuple(
-            Bearings(s.stamp_us, s.camera, s.p_WC + move, s.dir_W, s.sigma_rad, s.half_angle_rad,
-                     s.range_m, s.range_sigma_m)
-            for s in seen(k, rng, hidden=k >= hidden_from)
-        )  # fmt: skip
+        rows = tuple(replace(s, p_WC=s.p_WC + move) for s in seen(k, rng, hidden=k >= hidden_from))
         memory, tracks = tracker.step(memory, PERIOD_US * k, rows)
         out.append(tracks)
     return memory, out

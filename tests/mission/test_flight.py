@@ -2,11 +2,12 @@
 """Short flights in closed loop, all stages real."""
 
 import json
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from skyhaul.errors import FileError
+from skyhaul.errors import ConfigError, FileError
 from skyhaul.evaluation.metrics import evaluate
 from skyhaul.evaluation.recorder import RunRecorder
 from skyhaul.evaluation.series import load_run
@@ -152,3 +153,9 @@ def test_a_fault_of_ours_is_passed_on_and_closes_the_folder(tmp_path):
     outcome = load_run(tmp_path / "run").events.outcome
     assert outcome.reason == "broken off by a fault of the program"
     assert not outcome.success
+
+
+def test_a_flight_refuses_an_estimator_that_it_has_no_readings_for():
+    config = load_config(RunConfig, "hover", ["perception.obstacles.kind=events"])
+    with pytest.raises(ConfigError, match="recorded events only"):
+        fly(config, 0, Mock())

@@ -11,6 +11,7 @@ from skyhaul.mission.odometry import ModelledOdometry
 from skyhaul.mission.station import StationParams, TakeOffParams
 from skyhaul.mission.triggers import EventTrigger, ReplanTriggers, SolveTrigger
 from skyhaul.params import Params
+from skyhaul.perception.obstacles.from_events import EventObstacles
 from skyhaul.perception.obstacles.truth import TruthObstacles
 from skyhaul.perception.team.fused import FusedTeam
 from skyhaul.perception.team.truth import TruthTeam
@@ -27,8 +28,8 @@ class PerceptionConfig(Params):
     """Where the team is."""
     odometry: ModelledOdometry = field(default_factory=ModelledOdometry)
     """Own odometry of every vehicle; `kind: fused` reads it."""
-    obstacles: TruthObstacles = field(default_factory=TruthObstacles)
-    """Where the obstacles are."""
+    obstacles: TruthObstacles | EventObstacles = field(default_factory=TruthObstacles)
+    """Where the obstacles are; `events` runs over recorded events, not in a flight."""
 
 
 @dataclass(frozen=True, kw_only=True)

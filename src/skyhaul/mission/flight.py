@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyhaul.errors import DivergenceError, SkyhaulError
+from skyhaul.errors import ConfigError, DivergenceError, SkyhaulError
 from skyhaul.mission.api import Outcome, Phase, Recorder
 from skyhaul.mission.check import check_flight
 from skyhaul.mission.config import RunConfig
@@ -22,6 +22,7 @@ from skyhaul.mission.ticks import TickMaker
 from skyhaul.mission.vehicle import Actuation, command_of
 from skyhaul.model.envelope import team_shape
 from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
+from skyhaul.perception.obstacles.truth import TruthObstacles
 from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.types import US_PER_S, Array, TimeUs
 from skyhaul.world.scenario import GoTo
@@ -87,6 +88,21 @@ def _failed(reason: str) -> Verdict:
     return Verdict(over=True, success=False, reason=reason)
 
 
+def _on_truth(config: RunConfig) -> TruthObstacles:
+    """The estimator of obstacles of a flight.
+
+    Raises:
+        ConfigError: When it is one that a flight has no readings for.
+    """
+    obstacles = config.perception.obstacles
+    if not isinstance(obstacles, TruthObstacles):
+        raise ConfigError(
+            f"perception.obstacles.kind: {obstacles.kind} runs over recorded events only; a flight "
+            "takes kind truth"
+        )
+    return obstacles
+
+
 class Flight:
     """Everything that lives during one flight."""
 
@@ -103,7 +119,8 @@ class Flight:
         self._shapes = tuple(o.shape for o in config.world.obstacles)
         self._seen = config.sensors.objects.init(len(self._shapes))
         self._team = team_sensing(config, seed, self._truth)
-        self._obstacle_memory = config.perception.obstacles.init()
+        self._obstacles = _on_truth(config)
+        self._obstacle_memory = self._obstacles.init()
 
     def run(self, progress: ShowProgress | None) -> Verdict:
         """Cycle until the judge ends the flight, or the plant diverges."""
@@ -160,12 +177,12 @@ class Flight:
 
     def _perceive(self, t_us: TimeUs) -> tuple[TeamEstimate, ObstacleEstimate | None]:
         """p(t) and, when it is due, o(t)."""
-        sensors, perception = self._config.sensors, self._config.perception
+        sensors = self._config.sensors
         estimate = self._team.estimate(self._truth)
         if t_us % OBSTACLE_PERIOD_US:
             return estimate, None
         self._seen, reading = sensors.objects.read(self._seen, self._truth, self._shapes)
-        self._obstacle_memory, obstacles = perception.obstacles.step(self._obstacle_memory, reading)
+        self._obstacle_memory, obstacles = self._obstacles.step(self._obstacle_memory, reading)
         return estimate, obstacles
 
     def _actuate(self, actuations: list[Actuation], rotor_cmd: Array) -> None:

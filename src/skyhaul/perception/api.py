@@ -6,7 +6,6 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from skyhaul.geometry.shapes import Shape
 from skyhaul.model.state import CableState, TeamState
-from skyhaul.sensors.api import ObjectsReading
 from skyhaul.types import Array, IntArray, Mask, TimeUs, frozen
 
 Memory = TypeVar("Memory")
@@ -101,13 +100,16 @@ class TeamEstimator(Protocol[Memory, Reading]):
         ...
 
 
-class ObstacleEstimator(Protocol[Memory]):
-    """Readings -> obstacles. Stateful through an explicit memory."""
+class ObstacleEstimator(Protocol[Memory, Reading]):
+    """Readings -> obstacles. Stateful through an explicit memory.
+
+    Kinds differ in what they read: `truth` takes an `ObjectsReading`, `events` a `TeamSight`.
+    """
 
     def init(self) -> Memory:
         """Memory before the first reading."""
         ...
 
-    def step(self, memory: Memory, reading: ObjectsReading) -> tuple[Memory, ObstacleEstimate]:
+    def step(self, memory: Memory, reading: Reading) -> tuple[Memory, ObstacleEstimate]:
         """Take one reading in."""
         ...

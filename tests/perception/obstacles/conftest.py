@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skyhaul.model.state import TeamState
 from skyhaul.perception.obstacles.api import Bearings
 
 PERIOD_US = 10_000
@@ -56,8 +57,9 @@ def seen_by(camera, movers, k, rng, *, hidden=(), miss=0.05, clutter=0.0, ranged
     ranges = np.array([rows[i][2] if ranged else np.nan for i in order])
     sigma_m = np.where(np.isfinite(ranges), 0.05, np.nan)
     seen = Bearings(
-        PERIOD_US * k, camera, c, d, np.full(len(d), SIGMA_RAD),
-        np.array([rows[i][1] for i in order]), ranges, sigma_m,
+        PERIOD_US * k, camera, c, np.zeros(3), d, np.full(len(d), SIGMA_RAD),
+        np.array([rows[i][1] for i in order]), ranges, sigma_m, np.zeros(len(d)),
+        np.ones(len(d)),
     )  # fmt: skip
     return seen, [who[i] for i in order]
 
@@ -77,3 +79,14 @@ def nearest(track, movers, t_s):
     """Which mover a track is nearest to, and how far its centre is off [m]."""
     off = [np.linalg.norm(m.place(t_s) - track.p_WO) for m in movers]
     return int(np.argmin(off)), min(off)
+
+
+def state_of(team, yaw_rate=0.0, t_s=0.0):
+    """The team at rest 2 m up, its vehicles on their stations, looking outward; or all turning."""
+    n, p_WL = team.count, np.array([0.0, 0.0, 1.2])
+    reach = team.hooks_L() + team.cable_lengths_m()[:, None] * team.formation_dirs_L()
+    yaw = team.azimuths_rad + yaw_rate * t_s
+    q = np.column_stack([np.cos(yaw / 2), np.zeros(n), np.zeros(n), np.sin(yaw / 2)])
+    zero, turn = np.zeros((n, 3)), np.tile([0.0, 0.0, yaw_rate], (n, 1))
+    unit = np.array([1.0, 0.0, 0.0, 0.0])
+    return TeamState(p_WL, unit, zero[0], zero[0].copy(), p_WL + reach, q, zero.copy(), turn)

@@ -97,7 +97,7 @@ def clusters(stamp_us, rows):
     a = np.array(rows, dtype=np.float64).reshape(-1, 3)
     half = np.repeat(a[:, 2:], 2, axis=1)
     dir_C, angle = directions(LENS, a[:, :2], half)
-    return Clusters(stamp_us, a[:, :2], half, np.full(len(a), 50), dir_C, angle)
+    return Clusters(stamp_us, a[:, :2], half, np.full(len(a), 50), np.zeros(len(a)), dir_C, angle)
 
 
 def track(rows_at, steps, tracker=None):

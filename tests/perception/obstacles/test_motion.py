@@ -4,9 +4,10 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import chi2
 
+from skyhaul.perception.obstacles.api import bearings
 from skyhaul.perception.obstacles.motion import KalmanFilter
 from skyhaul.perception.obstacles.particles import ParticleFilter
-from skyhaul.perception.obstacles.polar import Polar, innovation, polar
+from skyhaul.perception.obstacles.polar import Polar, extents, innovation, polar
 from skyhaul.perception.obstacles.tubes import radius_95
 
 from .conftest import PERIOD_US, Swing, seen_by
@@ -53,40 +54,82 @@ def test_transition_is_the_exact_discretisation_of_its_motion(dt_s):
 
 def test_two_steps_are_one_long_step_without_measurements():
     motion, rng = KalmanFilter(models="acceleration"), np.random.default_rng(0)
-    start = motion.start(rng.normal(size=(4, 3)), np.tile(0.01 * np.eye(3), (4, 1, 1)), rng)
+    start = motion.start(rng.normal(size=(4, 4)), np.tile(0.01 * np.eye(4), (4, 1, 1)), rng)
     twice = motion.predict(motion.predict(start, 0.2), 0.3)
     once = motion.predict(start, 0.5)
     for a, b in zip(twice, once, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-10)
 
 
-def test_update_is_the_textbook_one():
-    """Joseph form and likelihood in NumPy, from `innovation`."""
+def textbook_update(x, P, z, extent):
+    """Iterated update with direction and range, then one with the extent, in NumPy."""
+    start, likelihood = x.copy(), None
+    G, R = np.zeros((3, 10)), np.diag(z.variance)
+    for _ in range(3):
+        found = innovation(x[:3] - z.age_s * x[3:6], z)
+        G[:, :3], G[:, 3:6] = found.H, -z.age_s * found.H
+        S = G @ P @ G.T + R
+        K = P @ G.T @ np.linalg.inv(S)
+        if likelihood is None:
+            y = found.residual
+            likelihood = np.exp(-0.5 * y @ np.linalg.solve(S, y)) / np.sqrt(np.linalg.det(S))
+        x = start + K @ (found.residual - G @ (start - x))
+    J = np.eye(10) - K @ G
+    P = J @ P @ J.T + K @ R @ K.T
+    rel = x[:3] - z.age_s * x[3:6] - z.p_WC
+    g = np.concatenate([-rel, z.age_s * rel, np.zeros(4)]) / (rel @ rel)
+    g[9] = 1.0
+    y = extent[0] - (x[9] - np.log(np.linalg.norm(rel)))
+    s = max(g @ P @ g + extent[1], y * y / 4.0)
+    return x + P @ g * y / s, P - np.outer(P @ g, P @ g) / s, likelihood
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.03])
+def test_update_is_the_textbook_one(age_s):
     rng = np.random.default_rng(3)
     motion = KalmanFilter()
     z = polar(seen_by(1, [Swing((2.5, -1.0, 2.0), (0.0, 0.0, 0.0))] * 3, 0, rng, miss=0.0,
                       ranged=True)[0])  # fmt: skip
+    z = z._replace(age_s=np.full(3, age_s))
     start = motion.start(
-        np.tile([2.6, -0.9, 2.1], (3, 1)), np.tile(0.02 * np.eye(3), (3, 1, 1)), rng
+        np.tile([2.6, -0.9, 2.1, np.log(0.25)], (3, 1)), np.tile(0.02 * np.eye(4), (3, 1, 1)), rng
     )
     prior = motion.predict(start, 0.3)
     after = motion.update(prior, z)
+    extent = np.stack(extents(z, motion.extent_sigma), axis=1)
     for i in range(3):
         likelihood = []
         for m in range(2):
-            P, x = prior.covariance[i, m], prior.x[i, m]
-            found = innovation(x[:3], Polar(*(a[i] for a in z)))
-            H = np.zeros((3, 9))
-            H[:, :3] = found.H
-            R, y = np.diag(z.variance[i]), found.residual
-            S = H @ P @ H.T + R
-            K = P @ H.T @ np.linalg.inv(S)
-            J = np.eye(9) - K @ H
-            np.testing.assert_allclose(after.x[i, m], x + K @ y, atol=1e-9)
-            np.testing.assert_allclose(after.covariance[i, m], J @ P @ J.T + K @ R @ K.T, atol=1e-9)
-            likelihood.append(np.exp(-0.5 * y @ np.linalg.solve(S, y)) / np.sqrt(np.linalg.det(S)))
+            row = Polar(*(a[i] for a in z))
+            x, P, how = textbook_update(prior.x[i, m], prior.covariance[i, m], row, extent[i])
+            np.testing.assert_allclose(after.x[i, m], x, atol=1e-9)
+            np.testing.assert_allclose(after.covariance[i, m], P, atol=1e-9)
+            likelihood.append(how)
         weight = prior.weight[i] * likelihood
         np.testing.assert_allclose(after.weight[i], weight / weight.sum(), atol=1e-8)
+
+
+@pytest.mark.parametrize("motion", [KalmanFilter(), ParticleFilter()], ids=["kalman", "particles"])
+def test_holding_the_size_changes_nothing_that_one_camera_sees(motion):
+    """Direction, extent and their rates stay; distance is as uncertain as the size again."""
+    rng, c, v_C = np.random.default_rng(8), np.array([0.3, -0.2, 2.0]), np.array([1.0, 0.4, 0.0])
+    d = np.array([[0.9, 0.3, -0.1]])
+    z = polar(bearings(0, 0, c, d / np.linalg.norm(d), 0.01, np.array([0.06])))
+    z = z._replace(v_WC=v_C[None])
+    pr = np.append(c + 2.0 * d[0], np.log(0.12))[None]
+    belief = motion.predict(motion.start(pr, 1e-6 * np.eye(4)[None], rng), 0.01, rng)
+    before = motion.moments(belief)
+    held = motion.moments(motion.hold_size(belief, z, (np.log(0.2), 0.3), rng))
+    assert held.log_radius[0] == pytest.approx(np.log(0.2), abs=0.05)
+    assert np.sqrt(held.radius_variance[0]) == pytest.approx(0.3, rel=0.1)
+    far = np.linalg.norm(held.p_WO[0] - c)
+    assert far / np.linalg.norm(before.p_WO[0] - c) == pytest.approx(0.2 / 0.12, rel=0.08)
+    assert np.sqrt(held.covariance[0, :3, :3].trace()) == pytest.approx(0.3 * far, rel=0.15)
+    u = (held.p_WO[0] - c) / far
+    np.testing.assert_allclose(u, d[0] / np.linalg.norm(d[0]), atol=2e-3)
+    turn = [np.cross(m.p_WO[0] - c, m.v_WO[0] - v_C) / np.sum((m.p_WO[0] - c) ** 2)
+            for m in (before, held)]  # fmt: skip
+    np.testing.assert_allclose(turn[1], turn[0], atol=0.08)
 
 
 def wander(motion_noise, steps, rng):
@@ -116,7 +159,8 @@ def filtered(motion, way, rng):
     """Errors (6,) and covariances after each step, as four cameras see a way."""
     p, _ = way[0]
     first = p + 0.05 * rng.normal(size=3)
-    belief = motion.start(first[None], 0.05**2 * np.eye(3)[None], rng)
+    pr = np.append(first, np.log(0.2))[None]
+    belief = motion.start(pr, 0.05**2 * np.eye(4)[None], rng)
     out = []
     for k, (p, v) in enumerate(way):
         belief = motion.predict(belief, DT_S if k else 0.0, rng)
@@ -189,7 +233,7 @@ def test_the_95_percent_ball_holds_95_percent():
 @every_filter
 def test_predicted_spread_grows_and_is_the_covariance_now(motion):
     rng = np.random.default_rng(2)
-    belief = motion.start(np.array([[2.0, 1.0, 1.0]]), 0.01 * np.eye(3)[None], rng)
+    belief = motion.start(np.array([[2.0, 1.0, 1.0, -1.6]]), 0.01 * np.eye(4)[None], rng)
     belief = motion.predict(belief, 0.2, rng)
     spreads = [np.trace(motion.spread(belief, dt)[0]) for dt in (0.0, 0.1, 0.5, 1.0, 2.0)]
     assert np.all(np.diff(spreads) > 0.0)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
 from skyhaul.perception.obstacles.api import Bearings, bearings
@@ -28,8 +29,10 @@ def test_residual_vanishes_at_the_obstacle_and_its_jacobian_is_that_of_differenc
     p = CAMERAS[1] + rng.normal(size=3) * 3.0
     rel = p - CAMERAS[1]
     distance = np.linalg.norm(rel)
-    z = polar(Bearings(0, 1, CAMERAS[1], rel[None] / distance, np.array([0.01]), np.array([0.1]),
-                       np.array([distance]), np.array([0.1])))  # fmt: skip
+    z = polar(Bearings(
+        0, 1, CAMERAS[1], np.zeros(3), rel[None] / distance, np.array([0.01]), np.array([0.1]),
+        np.array([distance]), np.array([0.1]), np.zeros(1), np.ones(1),
+    ))  # fmt: skip
     assert np.abs(innovation(p, z).residual).max() < 1e-12
     q = p + 0.3 * rng.normal(size=3)
     H = innovation(q, z).H[0]
@@ -45,14 +48,17 @@ def test_gates_are_those_of_the_linearised_measurements():
     points = np.array([[3.0, 1.0, 2.0], [-2.0, 2.5, 1.0], [0.5, -3.0, 2.5]])
     z = seen_by(0, [Swing(tuple(p), (0.0, 0.0, 0.0)) for p in points], 0, rng, ranged=True)[0]
     z = polar(z)
-    root = rng.normal(size=(3, 3, 3))
+    root = rng.normal(size=(3, 6, 6))
     cov = 0.01 * root @ np.swapaxes(root, -1, -2)
-    squared, log_det = gate(points + 0.1, cov, z)
+    z = z._replace(age_s=np.full(3, 0.04))
+    x = np.concatenate([points + 0.1, rng.normal(size=(3, 3))], axis=1)
+    squared, log_det = gate(x, cov, z)
     for i in range(3):
         for j in range(len(z.camera)):
-            found = innovation(points[i] + 0.1, Polar(*(a[j] for a in z)))
+            found = innovation(x[i, :3] - 0.04 * x[i, 3:], Polar(*(a[j] for a in z)))
             if found.ahead > 0.0:
-                S = found.H @ cov[i] @ found.H.T + np.diag(z.variance[j])
+                G = np.concatenate([found.H, -0.04 * found.H], axis=1)
+                S = G @ cov[i] @ G.T + np.diag(z.variance[j])
                 y = found.residual
                 np.testing.assert_allclose(squared[i, j], y @ np.linalg.solve(S, y), rtol=1e-8)
                 np.testing.assert_allclose(log_det[i, j], np.log(np.linalg.det(S)), rtol=1e-8)
@@ -73,7 +79,8 @@ def test_axes_of_a_measurement_are_right_handed_around_its_direction():
 def test_a_gate_is_closed_for_what_is_behind_the_camera():
     z = exact(0, [3.0, 1.0, 2.0])
     p = np.stack([[3.0, 1.0, 2.0], 2 * CAMERAS[0] - [3.0, 1.0, 2.0]])
-    squared, _ = gate(p, 0.01 * np.tile(np.eye(3), (2, 1, 1)), z)
+    x = np.concatenate([p, np.zeros((2, 3))], axis=1)
+    squared, _ = gate(x, 0.01 * np.tile(np.eye(6), (2, 1, 1)), z)
     assert squared[0, 0] < 1e-12
     assert np.isinf(squared[1, 0])
 
@@ -107,20 +114,39 @@ def test_obstacles_are_born_where_rays_of_several_cameras_meet_and_each_once():
     assert all(len(b.cameras) == 4 for b in born)
     off = [min(np.linalg.norm(b.p_WO - p) for p in points) for b in born]
     assert max(off) < 0.01
-    np.testing.assert_allclose([b.radius_m for b in born], 0.2, rtol=0.02)
+    np.testing.assert_allclose(np.exp([b.log_radius for b in born]), 0.2, rtol=0.02)
 
 
-def test_one_camera_alone_gives_birth_only_with_a_range():
+def test_a_range_places_what_one_camera_sees():
     rng, mover = np.random.default_rng(4), Swing((3.0, 1.0, 2.0), (0.0, 0.0, 0.0))
-    for ranged, count in ((False, 0), (True, 1)):
-        z = polar(seen_by(0, [mover], 0, rng, miss=0.0, ranged=ranged)[0])
-        born = BirthRules().born(z)
-        assert len(born) == count
-    assert np.linalg.norm(born[0].p_WO - mover.place(0.0)) < 0.3
+    z = polar(seen_by(0, [mover], 0, rng, miss=0.0, ranged=True)[0])
+    (born,) = BirthRules().born(z)
+    assert np.linalg.norm(born.p_WO - mover.place(0.0)) < 0.3
+
+
+def test_without_a_range_one_camera_places_by_size_and_says_how_unsure_it_is():
+    """Over sizes drawn as the rule says, errors are as large as the covariance."""
+    rng, rules, squared = np.random.default_rng(5), BirthRules(extent_sigma=0.05), []
+    assert BirthRules(radius_spread=0.0).born(exact(0, [3.0, 1.0, 2.0])) == []
+    for _ in range(300):
+        radius = rules.usual_radius_m * np.exp(rules.radius_spread * rng.normal())
+        mover = Swing((3.0, 1.0, 2.0), (0.0, 0.0, 0.0), radius_m=radius)
+        z = polar(seen_by(0, [mover], 0, rng, miss=0.0)[0])
+        (born,) = rules.born(z)
+        away = mover.place(0.0) - z.p_WC[0]
+        e = np.log(np.linalg.norm(born.p_WO - z.p_WC[0]) / np.linalg.norm(away))
+        sigma = np.sqrt(z.axes[0, 2] @ born.covariance[:3, :3] @ z.axes[0, 2])
+        squared.append((e * np.linalg.norm(born.p_WO - z.p_WC[0]) / sigma) ** 2)
+    assert np.mean(squared) == pytest.approx(1.0, abs=0.25)
 
 
 def test_rays_that_see_different_sizes_are_not_of_one_obstacle():
     p = np.array([3.0, 1.0, 2.0])
     a, b = exact(0, p), exact(1, p)
     assert len(BirthRules().born(stacked([a, b]))) == 1
-    assert BirthRules().born(stacked([a, b._replace(half_angle=4.0 * b.half_angle)])) == []
+    born = BirthRules().born(stacked([a, b._replace(half_angle=4.0 * b.half_angle)]))
+    assert [len(x.rows) for x in born] == [1, 1]
+
+
+def test_what_is_vague_gives_birth_to_nothing():
+    assert BirthRules().born(exact(0, [3.0, 1.0, 2.0], sigma_rad=0.1)) == []

@@ -6,7 +6,7 @@ from skyhaul.perception.obstacles.motion import KalmanFilter
 from skyhaul.perception.obstacles.particles import ParticleFilter
 from skyhaul.perception.obstacles.tracker import BearingTracker
 
-from .conftest import PERIOD_US, Swing, follow, nearest
+from .conftest import CAMERAS, PERIOD_US, Swing, follow, nearest, seen_by
 
 KALMAN, PARTICLES = BearingTracker(), BearingTracker(filter=ParticleFilter(particles=400))
 APART = [
@@ -106,7 +106,48 @@ def test_a_camera_with_ranges_needs_no_other():
     out = follow(KALMAN, APART[:1], 40, 0, cameras=[0], ranged=True)
     (track,) = out[-1]
     assert nearest(track, APART[:1], 0.39)[1] < 0.1
-    assert not any(follow(KALMAN, APART[:1], 40, 0, cameras=[0]))
+
+
+@pytest.mark.parametrize("tracker", [KALMAN, PARTICLES], ids=["kalman", "particles"])
+def test_a_camera_alone_never_believes_to_know_the_distance(tracker):
+    """Truth stays within three standard deviations, and the direction is right."""
+    mover = Swing((3.0, 0.0, 2.0), (0.0, 0.8, 0.0), radius_m=0.3)
+    for k, tracks in enumerate(follow(tracker, [mover], 250, 0, cameras=[0])[30:], start=30):
+        (track,) = tracks
+        true = mover.place(1e-6 * PERIOD_US * k) - CAMERAS[0]
+        rel = track.p_WO - CAMERAS[0]
+        rho = np.linalg.norm(rel)
+        d = rel / rho
+        share = np.sqrt(d @ track.covariance[:3, :3] @ d) / rho
+        assert share > 0.2
+        assert abs(np.log(np.linalg.norm(true) / rho)) < 2.5 * share
+        assert np.linalg.norm(true / np.linalg.norm(true) - d) < 0.05
+
+
+def test_when_a_second_camera_joins_the_distance_is_found_and_the_name_kept():
+    mover, rng = Swing((3.0, 0.0, 2.0), (0.0, 0.8, 0.0), radius_m=0.35), np.random.default_rng(2)
+    memory, names = KALMAN.init(), set()
+    for k in range(160):
+        cameras = (0,) if k < 100 else (0, 3)
+        seen = tuple(seen_by(c, [mover], k, rng)[0] for c in cameras)
+        memory, tracks = KALMAN.step(memory, PERIOD_US * k, seen)
+        names |= {t.track_id for t in tracks}
+    assert len(names) == 1
+    assert nearest(tracks[0], [mover], 1.59)[1] < 0.1
+    assert tracks[0].shape.radius_m == pytest.approx(0.35, rel=0.1)
+
+
+def test_one_camera_keeps_the_distance_that_two_have_found():
+    """A size once known places what one camera sees."""
+    mover, rng = Swing((3.0, 0.0, 2.0), (0.0, 0.8, 0.0)), np.random.default_rng(2)
+    memory, errors = KALMAN.init(), []
+    for k in range(200):
+        cameras = (0, 3) if k < 80 else (0,)
+        seen = tuple(seen_by(c, [mover], k, rng)[0] for c in cameras)
+        memory, tracks = KALMAN.step(memory, PERIOD_US * k, seen)
+        if k >= 80:
+            errors.append(nearest(tracks[0], [mover], 1e-6 * PERIOD_US * k)[1])
+    assert np.sqrt(np.mean(np.square(errors))) < 0.25
 
 
 def in_tube_share(tracker, movers, seeds, steps=220):
@@ -149,8 +190,8 @@ def test_steps_are_pure():
         memory = tracker.init()
         d = np.array([[1.0, 0.0, 0.0]])
         seen = tuple(
-            Bearings(0, c, np.array([0.0, y, 0.0]), d, np.array([0.01]), np.array([0.1]),
-                     np.array([3.0]), np.array([0.05]))
+            Bearings(0, c, np.array([0.0, y, 0.0]), np.zeros(3), d, np.array([0.01]),
+                     np.array([0.1]), np.array([3.0]), np.array([0.05]), np.zeros(1), np.ones(1))
             for c, y in enumerate((0.0,))
         )  # fmt: skip
         for k in range(8):
@@ -164,6 +205,8 @@ def test_steps_are_pure():
     "wrong",
     [
         {"confirm_hits": 7},
+        {"confirm_alone": 0},
+        {"rejoin_m": 0.0},
         {"gate_probability": 1.0},
         {"coast_s": 0.0},
     ],

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`kind: kalman`: how obstacles move, as Kalman filters, one or two models, all tracks at once.
 
-State (p, v, a). Model `velocity` holds v, with white acceleration; model `acceleration` holds a,
-which fades with a time constant (Singer), with white jerk. With both, the filters interact: each
-starts a step from the mixture of both (IMM).
+State (p, v, a, ln r), r the radius of the ball that looks as large. Model `velocity` holds v,
+with white acceleration; model `acceleration` holds a, which fades with a time constant (Singer),
+with white jerk. With both, the filters interact: each starts a step from the mixture of both (IMM).
 
 Source: Blom and Bar-Shalom, "The interacting multiple model algorithm" (TAC 1988); Singer (1970).
 """
@@ -15,8 +15,8 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 
 from skyhaul.params import Params
-from skyhaul.perception.obstacles.kernels import update_all
-from skyhaul.perception.obstacles.polar import Polar, measured
+from skyhaul.perception.obstacles.kernels import SIZE, update_all
+from skyhaul.perception.obstacles.polar import Polar, extents, measured
 from skyhaul.types import Array
 
 Belief = tuple[Array, ...]
@@ -24,6 +24,7 @@ Belief = tuple[Array, ...]
 
 P, V, A = slice(0, 3), slice(3, 6), slice(6, 9)
 PV = slice(0, 6)
+PR = [0, 1, 2, SIZE]
 
 
 class Moments(NamedTuple):
@@ -32,13 +33,25 @@ class Moments(NamedTuple):
     p_WO: Array  # (n, 3) [m]
     v_WO: Array  # (n, 3) [m/s]
     covariance: Array  # (n, 6, 6) of p_WO, v_WO
+    log_radius: Array  # (n,)
+    radius_variance: Array  # (n,) of log_radius
 
 
 class MotionFilter(Protocol):
     """How the motion of all tracks is believed in."""
 
-    def start(self, p_WO: Array, covariance: Array, rng: np.random.Generator) -> Belief:
-        """Beliefs about new tracks, seen once: positions (n, 3), covariances (n, 3, 3)."""
+    def start(
+        self, pr: Array, covariance: Array, rng: np.random.Generator,
+        velocity: tuple[Array, Array] | None = None,
+    ) -> Belief:  # fmt: skip
+        """Beliefs about new tracks, seen once.
+
+        Args:
+            pr: Positions [m] and ln radii, (n, 4).
+            covariance: Theirs, (n, 4, 4).
+            rng: Random numbers.
+            velocity: Velocities, (n, 3) [m/s], and their covariances, (n, 3, 3), where known.
+        """
         ...
 
     def predict(self, belief: Belief, dt_s: float, rng: np.random.Generator) -> Belief:
@@ -47,6 +60,23 @@ class MotionFilter(Protocol):
 
     def update(self, belief: Belief, z: Polar, rng: np.random.Generator) -> Belief:
         """Beliefs given a measurement each."""
+        ...
+
+    def hold_size(
+        self, belief: Belief, z: Polar, size: tuple[float, float], rng: np.random.Generator
+    ) -> Belief:
+        """Beliefs whose radius is again what was believed before anything was seen.
+
+        What one camera sees stays the same when distance, relative velocity and size grow
+        together. Direction, extent and how they change are kept; how far that is, is not taken
+        from them.
+
+        Args:
+            belief: Of tracks that one camera only has ever seen.
+            z: What it saw of each.
+            size: Mean and standard deviation of ln radius.
+            rng: Random numbers.
+        """
         ...
 
     def moments(self, belief: Belief) -> Moments:
@@ -61,8 +91,8 @@ class MotionFilter(Protocol):
 class KalmanBelief(NamedTuple):
     """One Gaussian per model, and how likely each model is."""
 
-    x: Array  # (n, m, 9)
-    covariance: Array  # (n, m, 9, 9)
+    x: Array  # (n, m, 10)
+    covariance: Array  # (n, m, 10, 10)
     weight: Array  # (n, m)
 
 
@@ -83,10 +113,15 @@ class KalmanFilter(Params):
     """Model acceleration: time in which an acceleration fades to 37 % [s]."""
     stay_s: float = 1.0
     """How long a model lasts on average before the other takes over [s]."""
+    extent_sigma: float = 0.2
+    """Standard deviation of ln extent: what is no ball looks larger or smaller from elsewhere."""
+    size_walk: float = 0.05
+    """Standard deviation by which ln radius changes in a second, as what is no ball turns."""
 
     def __post_init__(self) -> None:
         for name in (
             "speed_sigma_mps", "manoeuvre", "accel_sigma_mps2", "accel_time_s", "stay_s",
+            "extent_sigma", "size_walk",
         ):  # fmt: skip
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
@@ -97,14 +132,20 @@ class KalmanFilter(Params):
             self.models
         ]
 
-    def start(self, p_WO: Array, covariance: Array, rng: np.random.Generator) -> KalmanBelief:
+    def start(
+        self, pr: Array, covariance: Array, rng: np.random.Generator,
+        velocity: tuple[Array, Array] | None = None,
+    ) -> KalmanBelief:  # fmt: skip
         """See `MotionFilter.start`."""
-        n, m = len(p_WO), self._used.stop - self._used.start
-        x = np.zeros((n, m, 9))
-        x[..., P] = p_WO[:, None]
-        cov = np.zeros((n, m, 9, 9))
-        cov[..., P, P] = covariance[:, None]
+        n, m = len(pr), self._used.stop - self._used.start
+        x = np.zeros((n, m, 10))
+        x[..., PR] = pr[:, None]
+        cov = np.zeros((n, m, 10, 10))
+        for i in range(4):
+            cov[..., PR[i], PR] = covariance[:, None, i]
         cov[..., V, V] = self.speed_sigma_mps**2 * np.eye(3)
+        if velocity is not None:
+            x[..., V], cov[..., V, V] = velocity[0][:, None], velocity[1][:, None]
         cov[..., A, A] = self.accel_sigma_mps2**2 * np.eye(3)
         return KalmanBelief(x, cov, np.full((n, m), 1.0 / m))
 
@@ -122,25 +163,55 @@ class KalmanFilter(Params):
     def update(
         self, belief: Belief, z: Polar, rng: np.random.Generator | None = None
     ) -> KalmanBelief:
-        """See `MotionFilter.update`: extended Kalman update in Joseph form, model by model."""
+        """See `MotionFilter.update`: extended Kalman update, model by model."""
         x, cov, weight = (a.copy() for a in belief)
         log_likelihood = np.empty_like(weight)
-        update_all(x, cov, log_likelihood, *measured(z))
+        update_all(x, cov, log_likelihood, *measured(z), *extents(z, self.extent_sigma))
         log_weight = np.log(weight) + log_likelihood
         likely = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
         weight = np.maximum(likely / likely.sum(axis=1, keepdims=True), 1e-9)
         return KalmanBelief(x, cov, weight / weight.sum(axis=1, keepdims=True))
 
+    def hold_size(
+        self, belief: Belief, z: Polar, size: tuple[float, float],
+        rng: np.random.Generator | None = None,
+    ) -> KalmanBelief:  # fmt: skip
+        """See `MotionFilter.hold_size`.
+
+        With s = exp(mean - x_9): p' = p_C + s (p - p_C), v' = v_C + s (v - v_C), a' = s a; the
+        covariance is moved by the Jacobian, and the size's variance added along (p' - p_C,
+        v' - v_C, a', 1).
+
+        Source: An extended Kalman filter on bearings alone believes to learn the distance long
+            before it does (Aidala, "Kalman filter behavior in bearings-only tracking
+            applications", 1979).
+        """
+        x, cov, weight = belief
+        mean, sigma = size
+        origin = np.zeros((len(x), 1, 10))
+        origin[:, 0, P] = z.p_WC + z.age_s[:, None] * z.v_WC
+        origin[:, 0, V] = z.v_WC
+        s = np.exp(mean - x[..., SIZE])[..., None]
+        along = s * (x - origin)
+        moved = origin + along
+        moved[..., SIZE], along[..., SIZE] = mean, 1.0
+        J = s[..., None] * np.eye(10)
+        J[..., :9, SIZE] = -along[..., :9]
+        J[..., SIZE, :] = 0.0
+        held = J @ cov @ np.swapaxes(J, -1, -2)
+        held += sigma**2 * along[..., :, None] * along[..., None, :]
+        return KalmanBelief(moved, held, weight)
+
     def moments(self, belief: Belief) -> Moments:
         """See `MotionFilter.moments`."""
         x, cov, weight = belief
-        if x.shape[1] == 1:
-            return Moments(x[:, 0, P], x[:, 0, V], cov[:, 0, PV, PV])
-        x, w = x[..., PV], weight[..., None]
+        w = weight[..., None]
         mean = np.sum(w * x, axis=1)
         off = x - mean[:, None]
-        second = cov[..., PV, PV] + off[..., :, None] * off[..., None, :]
-        return Moments(mean[:, P], mean[:, V], np.sum(w[..., None] * second, axis=1))
+        second = np.sum(w[..., None] * (cov[..., PV, PV] + off[..., PV, None] * off[..., None, PV]),
+                        axis=1)  # fmt: skip
+        of_size = np.sum(weight * (cov[..., SIZE, SIZE] + off[..., SIZE] ** 2), axis=1)
+        return Moments(mean[:, P], mean[:, V], second, mean[:, SIZE], of_size)
 
     def spread(self, belief: Belief, dt_s: float) -> Array:
         """See `MotionFilter.spread`."""
@@ -151,7 +222,7 @@ class KalmanFilter(Params):
         return total
 
     def transition(self, dt_s: float) -> tuple[Array, Array]:
-        """F and Q of both models, (2, 9, 9)."""
+        """F and Q of both models, (2, 10, 10)."""
         t, alpha = dt_s, 1.0 / self.accel_time_s
         fade = np.exp(-alpha * t)
         F, Q = np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
@@ -164,8 +235,10 @@ class KalmanFilter(Params):
         # stationary in a: what fades comes back as noise
         Q[1] = _singer_noise(t, alpha, self.accel_sigma_mps2)
         eye = np.eye(3)[None]
-        both = np.kron(F, eye), np.kron(Q, eye)
-        return np.asarray(both[0], np.float64), np.asarray(both[1], np.float64)
+        moved, noise = np.zeros((2, 10, 10)), np.zeros((2, 10, 10))
+        moved[:, :9, :9], noise[:, :9, :9] = np.kron(F, eye), np.kron(Q, eye)
+        moved[:, SIZE, SIZE], noise[:, SIZE, SIZE] = 1.0, self.size_walk**2 * t
+        return moved, noise
 
     def _mixed(self, belief: KalmanBelief, dt_s: float) -> KalmanBelief:
         """Where each model starts a step from, and the models' weights after it."""
@@ -178,7 +251,7 @@ class KalmanFilter(Params):
         weight = joint.sum(axis=1)
         share = joint / weight[:, None]
         x = np.einsum("nij,nia->nja", share, belief.x)
-        off = belief.x[:, :, None] - x[:, None]  # (n, from, to, 9)
+        off = belief.x[:, :, None] - x[:, None]  # (n, from, to, 10)
         cov = np.einsum("nij,niab->njab", share, belief.covariance)
         cov += np.einsum("nij,nija,nijb->njab", share, off, off)
         return KalmanBelief(x, cov, weight)

@@ -18,17 +18,22 @@ UNRANGED_VARIANCE = 1e6
 """Variance of a range that was not measured [m^2]: it tells nothing."""
 
 _NEAREST_M = 0.05
+_SHAPE_STEPS = 30.0
+"""Steps for which a shape's own share of the error of its extent stays the same."""
 
 
 class Polar(NamedTuple):
     """Measurements in their own axes, one row each."""
 
     p_WC: Array  # (k, 3) [m]
+    v_WC: Array  # (k, 3) [m/s]
     axes: Array  # (k, 3, 3) rows e1, e2, d, W axes
     range_m: Array  # (k,) 0 where there is none [m]
     variance: Array  # (k, 3) of e1, e2 [rad^2] and of the range [m^2]
     half_angle: Array  # (k,) [rad]
     camera: IntArray  # (k,)
+    age_s: Array  # (k,) how long before the stamp it was so [s]
+    alike: Array  # (k,) successive measurements whose errors are alike
 
 
 class Innovation(NamedTuple):
@@ -49,11 +54,14 @@ def polar(seen: Bearings) -> Polar:
     range_variance = np.where(ranged, np.square(seen.range_sigma_m), UNRANGED_VARIANCE)
     return Polar(
         p_WC=np.broadcast_to(seen.p_WC, (k, 3)),
+        v_WC=np.broadcast_to(seen.v_WC, (k, 3)),
         axes=axes,
         range_m=np.where(ranged, seen.range_m, 0.0),
         variance=np.stack([angle, angle, range_variance], axis=1),
         half_angle=seen.half_angle_rad,
         camera=np.full(k, seen.camera),
+        age_s=seen.age_s,
+        alike=seen.alike,
     )
 
 
@@ -103,26 +111,42 @@ def innovation(p_WO: Array, z: Polar) -> Innovation:
     return Innovation(residual, H, along[..., 2])
 
 
-def gate(p_WO: Array, covariance: Array, z: Polar) -> tuple[Array, Array]:
+def gate(x: Array, covariance: Array, z: Polar) -> tuple[Array, Array]:
     """Squared Mahalanobis distance and ln det S of every track to every measurement, (n, k).
 
     The distance is infinite where the measurement looks the other way.
 
     Args:
-        p_WO: Predicted positions, (n, 3) [m].
-        covariance: Theirs, (n, 3, 3) [m^2].
+        x: Predicted positions and velocities, (n, 6) [m, m/s].
+        covariance: Theirs, (n, 6, 6).
         z: Measurements, k rows.
     """
-    shape = len(p_WO), len(z.camera)
+    shape = len(x), len(z.camera)
     squared, log_det = np.empty(shape), np.empty(shape)
     cov = np.ascontiguousarray(covariance)
-    gate_all(np.ascontiguousarray(p_WO), cov, *measured(z), squared, log_det)
+    gate_all(np.ascontiguousarray(x), cov, *measured(z), squared, log_det)
     return squared, log_det
 
 
-def measured(z: Polar) -> tuple[Array, Array, Array, Array]:
-    """Places, axes, ranges and variances, as the kernels take them."""
-    return np.ascontiguousarray(z.p_WC), z.axes, z.range_m, z.variance
+def as_one_of_many(z: Polar) -> Polar:
+    """Measurements that count for so much less as there are others whose errors are alike."""
+    return z._replace(variance=z.variance * z.alike[:, None])
+
+
+def measured(z: Polar) -> tuple[Array, Array, Array, Array, Array]:
+    """Places, axes, ranges, variances and ages, as the kernels take them."""
+    return np.ascontiguousarray(z.p_WC), z.axes, z.range_m, z.variance, z.age_s
+
+
+def extents(z: Polar, extent_sigma: float) -> tuple[Array, Array]:
+    """Ln sin(half angle) and its variance, (k,) each.
+
+    The edges are as uncertain as the middle; on top comes what a shape that is no ball looks like
+    from elsewhere.
+    """
+    half = np.clip(z.half_angle, 1e-4, 0.5 * np.pi)
+    variance = np.square(extent_sigma) + z.variance[:, 0] / z.alike / half**2
+    return np.log(np.sin(half)), variance * np.where(z.alike > 1.0, _SHAPE_STEPS, 1.0)
 
 
 def triangulate(z: Polar, p_guess: Array) -> tuple[Array, Array]:

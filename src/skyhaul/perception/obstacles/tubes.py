@@ -29,9 +29,8 @@ def radius_95(second_moment: Array) -> Array:
 
 
 def tracks_of(
-    motion: MotionFilter, belief: Belief, stamp_us: TimeUs, name: IntArray,
-    log_radius: Array, radius_variance: Array, horizon_s: float,
-) -> tuple[Track, ...]:  # fmt: skip
+    motion: MotionFilter, belief: Belief, stamp_us: TimeUs, name: IntArray, horizon_s: float
+) -> tuple[Track, ...]:
     """Tracks as perception hands them out: balls, with tubes that hold over the horizon.
 
     The ball that holds 95 % grows faster than linearly; the tube is the chord of its radius
@@ -42,8 +41,8 @@ def tracks_of(
     moments = motion.moments(belief)
     spreads = [motion.spread(belief, dt_s) for dt_s in (0.0, horizon_s)]
     now, then = radius_95(np.stack(spreads))
-    radius = np.exp(log_radius)
-    size = radius * np.expm1(_SIZE_SIGMAS * np.sqrt(radius_variance))
+    radius = np.exp(moments.log_radius)
+    size = radius * np.expm1(_SIZE_SIGMAS * np.sqrt(moments.radius_variance))
     return tuple(
         Track(
             track_id=int(name[i]),
