@@ -82,7 +82,7 @@ def _row_group(table: pa.Table, offset: int) -> tuple[bytes, pq.FileMetaData]:
     writer = pq.ParquetWriter(
         sink,
         table.schema,
-        compression="zstd",
+        compression="lz4",
         use_dictionary=False,
         write_statistics=False,
         use_byte_stream_split=[f.name for f in table.schema if pa.types.is_float64(f.type)],
