@@ -5,6 +5,7 @@ import io
 import os
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -43,6 +44,10 @@ class GrowingParquet:
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         self._schema = schema
+        self._floats = [f.name for f in schema if pa.types.is_float64(f.type)]
+        self._kinds = {
+            f.name: f.type.to_pandas_dtype() for f in schema if not pa.types.is_float64(f.type)
+        }
         self._file = path.open("wb", buffering=0)
         self._end = self._file.write(_MAGIC)
         self._metadata: pq.FileMetaData | None = None
@@ -50,10 +55,11 @@ class GrowingParquet:
 
     def append(self, rows: Array) -> None:
         """Write rows, (k, columns), as one row group; columns are cast to the schema's types."""
-        columns = [
-            pa.array(rows[:, j]).cast(field.type, safe=False)
-            for j, field in enumerate(self._schema)
-        ]
+        columns = []
+        for column, field in zip(np.ascontiguousarray(rows.T), self._schema, strict=True):
+            kind = self._kinds.get(field.name)
+            data = pa.py_buffer(column if kind is None else column.astype(kind))
+            columns.append(pa.Array.from_buffers(field.type, len(rows), [None, data]))
         self._append(pa.table(columns, schema=self._schema))
 
     def close(self) -> None:
@@ -61,7 +67,7 @@ class GrowingParquet:
         self._file.close()
 
     def _append(self, table: pa.Table) -> None:
-        body, metadata = _row_group(table, self._end)
+        body, metadata = _row_group(table, self._end, self._floats)
         if self._metadata is None:
             self._metadata = metadata
         else:
@@ -75,7 +81,7 @@ class GrowingParquet:
         self._end += len(body)
 
 
-def _row_group(table: pa.Table, offset: int) -> tuple[bytes, pq.FileMetaData]:
+def _row_group(table: pa.Table, offset: int, floats: list[str]) -> tuple[bytes, pq.FileMetaData]:
     """One row group as it stands in a file at an offset, and the metadata that finds it there."""
     tail = _Tail()
     sink = pa.PythonFile(tail, mode="w")
@@ -85,7 +91,7 @@ def _row_group(table: pa.Table, offset: int) -> tuple[bytes, pq.FileMetaData]:
         compression="lz4",
         use_dictionary=False,
         write_statistics=False,
-        use_byte_stream_split=[f.name for f in table.schema if pa.types.is_float64(f.type)],
+        use_byte_stream_split=floats,
     )
     tail.data.clear()  # the writer's own magic; pyarrow wants to begin at 0, so move on now
     left = tail.skip = offset - len(_MAGIC)
