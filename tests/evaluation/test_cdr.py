@@ -7,6 +7,7 @@ from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
 from skyhaul.errors import FileError
+from skyhaul.evaluation import messages
 from skyhaul.evaluation.ros2.cdr import codec
 from skyhaul.evaluation.ros2.schema import fields, schema_text
 
@@ -110,6 +111,19 @@ def test_a_stencil_fills_in_what_encoding_anew_would_give(name: str) -> None:
     tree = codec("tf2_msgs/TFMessage")
     frames, later = ([odometry(x)[:11] for x in pair] for pair in ([one, other], [other, one]))
     assert tree.stencil(frames).fill([*other[:9], *one[:9]]) == tree.encode(later)
+
+
+@pytest.mark.parametrize("name", ["a", "ab", "payload"])
+def test_a_stencil_of_two_messages_changes_only_where_they_differ(name: str) -> None:
+    def markers(t_us: int, x: float, y: float) -> list[messages.Leaves]:
+        at, size, color = (x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), (1.0, 2.0, 3.0), (0.1, 0.2, 0.3, 1.0)
+        return [messages.marker(t_us, name, 7, 5, at, size, color, ((1.0, y, -1.0), (x, x, x)))]
+
+    message = codec("visualization_msgs/MarkerArray")
+    one, other = markers(0, 0.0, 0.0), markers(1_000_001, 1.0, 2.0)
+    stencil = message.stencil(one, other=(other,))
+    later = message.encode(markers(8_000_009, -3.0, 4.0))
+    assert stencil.fill([8, 9000, -3.0, 4.0, -3.0, -3.0, -3.0]) == later
 
 
 def test_a_wrong_number_of_leaves_is_refused() -> None:

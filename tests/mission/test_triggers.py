@@ -247,6 +247,16 @@ def test_clearance_ahead_is_the_least_along_the_reference_and_tells_when():
     assert late[1] == pytest.approx(blocked_in_s - 1.0, abs=0.02)
 
 
+@pytest.mark.parametrize("t_us", [0, 20_000, 980_000, 1_000_000, 3_140_000, 3_141_000])
+def test_shared_places_are_those_of_the_reference_itself(t_us):
+    rules = ReplanTriggers(horizon_s=4.0)
+    times = t_us + np.round(np.arange(0.0, 4.0 + 1e-9, rules.step_s) * 1e6)
+    for reference in (straight(), resting_reference(np.array([4.9, 2.0, 2.0]), 0.0, 0)):
+        world = static_map(replace(EMPTY.grid, occupied=WALLED), SHAPE)
+        clear = world.clearance(reference.sample(times).p_WD[:, 0], times)
+        assert predicted_clearance(world, reference, t_us, rules)[0] == clear.min()
+
+
 def test_the_look_ahead_ends_at_its_horizon():
     world = static_map(replace(EMPTY.grid, occupied=WALLED), SHAPE)
     near = ReplanTriggers(horizon_s=1.0)

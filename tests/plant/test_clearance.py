@@ -8,7 +8,13 @@ from scipy.spatial.transform import Rotation
 from skyhaul.geometry.distance import bounding_radius, shape_distance
 from skyhaul.geometry.shapes import BOX, CAPSULE, SPHERE, ShapeArrays
 from skyhaul.model.team import PointPayload, Team
-from skyhaul.plant.clearance import LEAVE_M, Surroundings, touch_memory, update_touches
+from skyhaul.plant.clearance import (
+    LEAVE_M,
+    Surroundings,
+    room_distance,
+    touch_memory,
+    update_touches,
+)
 from skyhaul.plant.observe import team_bodies
 
 N = 3
@@ -58,7 +64,8 @@ def test_clearance_and_contacts_are_those_of_all_pairs(spread, least):
         bodies, obstacles = posed_team(rng, Team(count=N), spread), random_obstacles(rng, m, spread)
         present, attached = rng.random(m) < 0.8, rng.random(N) < 0.7
         memory.touching[:] = False
-        clearance, count = update_touches(bodies, attached, around(obstacles, present), memory)
+        surroundings = around(obstacles, present)
+        clearance, count, gap = update_touches(bodies, attached, surroundings, memory)
         rows = [r for r in range(1 + 2 * N) if r <= N or attached[r - 1 - N]]
         d = {
             (r, j): shape_distance(bodies, r, obstacles, j)
@@ -66,6 +73,10 @@ def test_clearance_and_contacts_are_those_of_all_pairs(spread, least):
             for j in np.flatnonzero(present)
         }
         np.testing.assert_allclose(clearance, min(d.values()), atol=1e-8)
+        solid = range(1 + N)
+        apart = [shape_distance(bodies, r, bodies, k) for r in solid for k in range(r)]
+        apart += [d[r, j] for r, j in d if r <= N]
+        assert gap <= min([*apart, *(room_distance(bodies, r, surroundings) for r in solid)])
         expected = {pair for pair, value in d.items() if value <= 0.0}
         others = [(r, k) for r in range(1, 1 + N) for k in range(r)]
         others += [(r, k) for r in rows if r > N for k in range(1, 1 + N) if r != k + N]
@@ -88,7 +99,7 @@ def test_a_contact_is_told_once_until_the_bodies_part():
     half = bodies.size[0, 2]
     for gap in (0.1, 0.0, -0.01, 0.5 * LEAVE_M, -0.01, 2.0 * LEAVE_M, -0.01):
         ball.p_WO[0] = bodies.p_WO[0] + [0.0, 0.0, half + 0.3 + gap]
-        clearance, count = update_touches(bodies, ATTACHED, around(ball), memory)
+        clearance, count, _ = update_touches(bodies, ATTACHED, around(ball), memory)
         np.testing.assert_allclose(clearance, gap, atol=1e-9)
         told.append(count)
     assert told == [0, 1, 0, 0, 0, 0, 1]
@@ -104,11 +115,11 @@ def test_an_open_cable_is_not_there():
         np.eye(3)[None],
     )
     memory = touch_memory(N, 1)
-    clearance, count = update_touches(bodies, ATTACHED, around(ball), memory)
+    clearance, count, _ = update_touches(bodies, ATTACHED, around(ball), memory)
     assert clearance < 0.0
     assert pairs(memory, count) == {(1 + N, 0)}
     opened = np.array([False, True, True])
-    clearance, count = update_touches(bodies, opened, around(ball), memory)
+    clearance, count, _ = update_touches(bodies, opened, around(ball), memory)
     assert clearance > 3.0
     assert count == 0
 
@@ -125,6 +136,6 @@ def test_the_room_is_touched_at_its_walls():
             memory = touch_memory(N, 0)
             assert update_touches(moved, ATTACHED, around(NOTHING), memory)[1] == 0
             moved.p_WO[0, axis] = side - np.sign(side) * 0.049
-            clearance, count = update_touches(moved, ATTACHED, around(NOTHING), memory)
+            clearance, count, _ = update_touches(moved, ATTACHED, around(NOTHING), memory)
             assert clearance == np.inf
             assert pairs(memory, count) == {(0, 0)}

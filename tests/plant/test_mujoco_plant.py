@@ -299,6 +299,37 @@ def test_clearance_falls_to_a_contact_that_is_told_once():
     assert truths[-1].team.p_WB[0, 2] < top[2] - 1e-3  # pushed down: contacts act
 
 
+class Colliding(MujocoPlant):
+    """Looks for contacts at every step, needed or not."""
+
+    def _collide(self, wanted):
+        super()._collide(True)
+
+
+def test_contacts_are_only_left_out_where_there_are_none():
+    """Balls pass by, come to hit and appear inside the payload; the load falls to the floor."""
+    near, top = (4.4, 5.0, 5.0), plant_of().truth().team.p_WB[0]
+    obstacles = (
+        ball("passing", near, motion=Line(velocity_mps=(0.0, 1.0, 0.0))),
+        ball("falling", (top[0], top[1], top[2] + 0.6), motion=Line(velocity_mps=(0, 0, -2))),
+        ball("sudden", (5.0, 5.0, 4.9), appears=Appearance(at_s=0.2)),
+    )
+    world = World(obstacles=obstacles)
+    for start in (AIR, replace(AIR, payload_m=(5.0, 5.0, 0.3))):
+        scenario = Scenario(team=Team(), world=world, start=start, task=HoverTask())
+        lazy, eager = MujocoPlant(scenario, 0), Colliding(scenario, 0)
+        command, skipped, touched = np.full((4, 4), 0.3), 0, 0
+        for _ in range(300):
+            a, b = lazy.step(command), eager.step(command)
+            for field in ("p_WL", "q_WL", "v_WL", "p_WB", "q_WB", "v_WB", "w_WB_B"):
+                np.testing.assert_array_equal(getattr(a.team, field), getattr(b.team, field))
+            np.testing.assert_array_equal(a.accel_W, b.accel_W)
+            skipped += not lazy._colliding
+            touched += len(a.contacts)
+        assert touched > 0
+        assert 0 < skipped < 300
+
+
 def test_an_obstacle_is_nowhere_until_it_appears():
     late = ball(center=(5.0, 5.0, 5.2), appears=Appearance(at_s=0.1))
     plant = plant_of(obstacles=[late])

@@ -82,7 +82,7 @@ def marker(
     index: int,
     kind: int,
     at: Leaves,
-    scale: tuple[float, float, float],
+    scale: tuple[float, ...],
     rgba: tuple[float, ...],
     points: tuple[tuple[float, ...], ...] = (),
     colors: tuple[tuple[float, ...], ...] = (),
@@ -128,23 +128,28 @@ def _posture(shape: Shape) -> tuple[int, Array, Array, Array]:
 
 
 def obstacle_markers(t_us: TimeUs, ns: str, index: int, shape: Shape, p: Array) -> list[Leaves]:
-    """One obstacle; a capsule takes three markers."""
-    kind, size, R, q = _posture(shape)
+    """One obstacle; a capsule takes three markers, at `marker_places`."""
+    kind, size, _, q = _posture(shape)
     rgba = (*(MOVER_COLOR if ns == "mover" else STATIC_COLOR), 0.9)
-    if kind == SPHERE:
-        d = 2.0 * float(size[0])
-        return [marker(t_us, ns, 3 * index, SPHERE_MARKER, pose(p, q), (d, d, d), rgba)]
-    if kind == BOX:
-        x, y, z = (2.0 * size).tolist()
-        return [marker(t_us, ns, 3 * index, CUBE_MARKER, pose(p, q), (x, y, z), rgba)]
-    d, half = 2.0 * float(size[0]), float(size[1])
-    tube = marker(t_us, ns, 3 * index, CYLINDER_MARKER, pose(p, q), (d, d, 2.0 * half), rgba)
-    ends = [
-        marker(t_us, ns, 3 * index + k, SPHERE_MARKER, pose(p + s * half * R[:, 2], q), (d, d, d),
-               rgba)
-        for k, s in ((1, -1.0), (2, 1.0))
-    ]  # fmt: skip
-    return [tube, *ends]
+    d, length = 2.0 * float(size[0]), 2.0 * float(size[1])
+    solids = {
+        SPHERE: ((SPHERE_MARKER, (d, d, d)),),
+        BOX: ((CUBE_MARKER, tuple((2.0 * size).tolist())),),
+        CAPSULE: ((CYLINDER_MARKER, (d, d, length)), *(2 * [(SPHERE_MARKER, (d, d, d))])),
+    }[kind]
+    places = marker_places(shape, p)
+    return [
+        marker(t_us, ns, 3 * index + k, solid, pose(place, q), scale, rgba)
+        for k, ((solid, scale), place) in enumerate(zip(solids, places, strict=True))
+    ]
+
+
+def marker_places(shape: Shape, p: Array) -> list[Array]:
+    """Centres of an obstacle's markers, (3,) each: of a capsule also its two ends [m]."""
+    kind, size, R, _ = _posture(shape)
+    if kind != CAPSULE:
+        return [p]
+    return [p, *(p + s * float(size[1]) * R[:, 2] for s in (-1.0, 1.0))]
 
 
 def room_marker(low: tuple[float, ...], high: tuple[float, ...]) -> Leaves:

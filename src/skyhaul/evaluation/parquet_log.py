@@ -4,6 +4,7 @@
 import io
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -44,6 +45,10 @@ class GrowingParquet:
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         self._schema = schema
+        self._floats = [f.name for f in schema if pa.types.is_float64(f.type)]
+        self._kinds = {
+            f.name: f.type.to_pandas_dtype() for f in schema if not pa.types.is_float64(f.type)
+        }
         self._file = WholeFile(path)
         self._file.write(_MAGIC)
         self._metadata: pq.FileMetaData | None = None
@@ -56,10 +61,11 @@ class GrowingParquet:
         Raises:
             FileError: When the disk refuses; the file then is as it was before.
         """
-        columns = [
-            pa.array(rows[:, j]).cast(field.type, safe=False)
-            for j, field in enumerate(self._schema)
-        ]
+        columns = []
+        for column, field in zip(np.ascontiguousarray(rows.T), self._schema, strict=True):
+            kind = self._kinds.get(field.name)
+            data = pa.py_buffer(column if kind is None else column.astype(kind))
+            columns.append(pa.Array.from_buffers(field.type, len(rows), [None, data]))
         self._append(pa.table(columns, schema=self._schema))
 
     def close(self) -> None:
@@ -67,7 +73,7 @@ class GrowingParquet:
         self._file.close()
 
     def _append(self, table: pa.Table) -> None:
-        body, metadata = _row_group(table, self._file.tell())
+        body, metadata = _row_group(table, self._file.tell(), self._floats)
         if self._metadata is not None:
             self._metadata.append_row_groups(metadata)
             metadata = self._metadata
@@ -82,17 +88,17 @@ class GrowingParquet:
         self._metadata, self._footer = metadata, footer
 
 
-def _row_group(table: pa.Table, offset: int) -> tuple[bytes, pq.FileMetaData]:
+def _row_group(table: pa.Table, offset: int, floats: list[str]) -> tuple[bytes, pq.FileMetaData]:
     """One row group as it stands in a file at an offset, and the metadata that finds it there."""
     tail = _Tail()
     sink = pa.PythonFile(tail, mode="w")
     writer = pq.ParquetWriter(
         sink,
         table.schema,
-        compression="zstd",
+        compression="lz4",
         use_dictionary=False,
         write_statistics=False,
-        use_byte_stream_split=[f.name for f in table.schema if pa.types.is_float64(f.type)],
+        use_byte_stream_split=floats,
     )
     tail.data.clear()  # the writer's own magic; pyarrow wants to begin at 0, so move on now
     left = tail.skip = offset - len(_MAGIC)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import ArrayLike
 
 from skyhaul.comms.api import Envelope
 from skyhaul.errors import FileError
@@ -51,7 +52,8 @@ class RunRecorder:
         moving = [j for j, o in enumerate(obstacles) if o.motion.kind != "static" or o.appears]
         self._layout = Layout(n, tuple(moving))
         self._movers = np.array(moving, dtype=np.int64)
-        self._rows: list[Row] = []
+        self._quantities = [self._reader(key) for key in self._layout.blocks]
+        self._table, self._count = np.empty((GROUP_ROWS, len(self._layout.names))), 0
         try:
             self._states = GrowingParquet(path / folder.STATES, _schema(self._layout))
             self._log = McapLog(path / folder.LOG)
@@ -172,27 +174,30 @@ class RunRecorder:
         self._events.phase(t_us, phase, airborne)
 
     def _add_row(self, tick: Tick) -> None:
-        """Keep what the row is made of; messages never change, extremes do."""
-        e = self._extremes
-        copied = extremes.Extremes(*(a.copy() for a in e))
-        self._rows.append(Row(tick, self._airborne, copied))
-        extremes.restart(e, keep_clearance=False)
-        if len(self._rows) == GROUP_ROWS:
+        """Write a row; extremes begin anew."""
+        row = Row(tick, self._airborne, self._extremes)
+        parts = [np.ravel(read(row)) for read in self._quantities]
+        np.concatenate(parts, out=self._table[self._count])
+        self._count += 1
+        extremes.restart(self._extremes, keep_clearance=False)
+        if self._count == GROUP_ROWS:
             self._flush()
 
     def _flush(self) -> None:
         """Write the rows so far; extremes without a case are infinite and become nan."""
-        if not self._rows:
+        if not self._count:
             return
-        table = np.empty((len(self._rows), len(self._layout.names)))
-        for key, block in self._layout.blocks.items():
-            values = np.array([_QUANTITIES[key](row) for row in self._rows], dtype=np.float64)
-            if key.startswith("obstacle"):
-                values = values[:, self._movers]
-            table[:, block.columns] = values.reshape(len(table), -1)
+        table = self._table[: self._count]
         table[np.isinf(table)] = np.nan
         self._states.append(table)
-        self._rows.clear()
+        self._count = 0
+
+    def _reader(self, key: str) -> Callable[["Row"], ArrayLike]:
+        """How a block of the layout is read from a row."""
+        read, movers = _QUANTITIES[key], self._movers
+        if not key.startswith("obstacle"):
+            return read
+        return lambda row: np.asarray(read(row))[movers]
 
 
 class Row(NamedTuple):
@@ -203,7 +208,7 @@ class Row(NamedTuple):
     extremes: extremes.Extremes
 
 
-_QUANTITIES: dict[str, Callable[[Row], object]] = {
+_QUANTITIES: dict[str, Callable[[Row], ArrayLike]] = {
     "t": lambda r: r.tick.truth.stamp_us,
     "phase": lambda r: PHASES.index(r.tick.phase),
     "airborne": lambda r: r.airborne,

@@ -7,8 +7,8 @@ along the reference in force. Both are decided here, by pure functions of what i
 
 import math
 from dataclasses import dataclass, field
-from functools import cache
-from typing import Literal, NamedTuple
+from functools import cache, lru_cache
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,11 @@ from skyhaul.mapping.api import MapChange, WorldMap
 from skyhaul.params import Params
 from skyhaul.planning.api import Reference
 from skyhaul.types import ERR_P, ERR_R, ERR_V, US_PER_S, Array, TimeUs
+
+GRID_US: TimeUs = 20_000
+"""Looks ahead along the reference begin at multiples of this, and share their places [us]."""
+WINDOW_US: TimeUs = US_PER_S
+"""Places are sampled for this long at once [us]."""
 
 
 class SolveView(NamedTuple):
@@ -218,9 +223,28 @@ def predicted_clearance(
     """
     ahead_s, ahead_us = _ahead(params.horizon_s, params.step_s)
     times = t_us + ahead_us
-    clear = world_map.clearance(reference.sample(times).p_WD[:, 0], times)
+    step_us = round(params.step_s * US_PER_S)
+    if t_us % GRID_US == 0 and step_us % GRID_US == 0:
+        first, stride, count = (t_us % WINDOW_US) // GRID_US, step_us // GRID_US, len(ahead_us)
+        known: Any = reference  # hashed by identity: references never change
+        window = _places_along(known, t_us - t_us % WINDOW_US, stride * count)
+        p_WD = window[first : first + stride * count : stride]
+    else:
+        p_WD = reference.sample(times).p_WD[:, 0]
+    clear = world_map.clearance(p_WD, times)
     low = np.flatnonzero(clear < params.margin_m)
     return float(clear.min()), float(ahead_s[low[0]]) if low.size else np.inf
+
+
+@lru_cache(maxsize=2)
+def _places_along(reference: Reference, start_us: TimeUs, further: int) -> Array:
+    """Places of a reference at `GRID_US`: a window from a time on, and so many more, (k, 3) [m].
+
+    The looks of a second see the same places again and again.
+    """
+    count = WINDOW_US // GRID_US + further
+    places: Array = reference.sample(start_us + GRID_US * np.arange(count, dtype=np.float64)).p_WD
+    return np.ascontiguousarray(places[:, 0])
 
 
 @cache

@@ -33,8 +33,8 @@ NOWHERE = (0.0, 0.0, -1e3)
 TEAM_BIT, WORLD_BIT = 1, 2
 
 _OFF = mujoco.mjtDisableBit
-_NOT_NEEDED = (_OFF.mjDSBL_AUTORESET, _OFF.mjDSBL_MIDPHASE)
-"""A divergence shall be seen; and no body has many geoms."""
+_NOT_NEEDED = (_OFF.mjDSBL_AUTORESET, _OFF.mjDSBL_MIDPHASE, _OFF.mjDSBL_ISLAND)
+"""A divergence shall be seen; no body has many geoms; the cables make the team one island."""
 
 _GEOM = {
     SPHERE: mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -48,9 +48,9 @@ def build_model(
 ) -> mujoco.MjModel:
     """Compile the model.
 
-    Bodies: world, payload, vehicles 0 .. n-1, obstacles 0 .. m-1. Controls: thrust along z_B and
-    body moment of each vehicle, 4 n. Linear drag is damping of the bodies' translation; the force
-    of the moving air comes from outside.
+    Bodies: world, payload, vehicles 0 .. n-1, obstacles 0 .. m-1. Controls: thrust along z_B of
+    each vehicle, n. Linear drag is damping of the bodies' translation; body moments and the force
+    of the moving air come as forces on the joints, which is cheaper than as controls.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep = PLANT_STEP_US / US_PER_S
@@ -115,10 +115,10 @@ def _add_vehicle(spec: mujoco.MjSpec, team: Team, i: int) -> None:
         conaffinity=TEAM_BIT | WORLD_BIT,
     )
     body.add_site(name=f"vehicle {i}")
-    for row in ((0, 0, 1, 0, 0, 0), (0, 0, 0, 1, 0, 0), (0, 0, 0, 0, 1, 0), (0, 0, 0, 0, 0, 1)):
-        spec.add_actuator(
-            trntype=mujoco.mjtTrn.mjTRN_SITE, target=f"vehicle {i}", gear=row
-        ).set_to_motor()
+    lift = (0, 0, 1, 0, 0, 0)
+    spec.add_actuator(
+        trntype=mujoco.mjtTrn.mjTRN_SITE, target=f"vehicle {i}", gear=lift
+    ).set_to_motor()
 
 
 def _add_cable(spec: mujoco.MjSpec, team: Team, i: int) -> None:
@@ -156,11 +156,11 @@ def _set_drag(model: mujoco.MjModel, team: Team) -> None:
 
 
 def place(model: mujoco.MjModel, data: mujoco.MjData, start: StartState) -> None:
-    """Put everything where it starts, at rest."""
+    """Put everything where it starts, at rest; vehicles' moments 0, the wind as it is."""
     load = [start.p_WL, start.q_WL] if model.nv == 6 * (1 + len(start.p_WB)) else [start.p_WL]
     data.qpos[:] = np.concatenate([*load, np.column_stack([start.p_WB, start.q_WB]).ravel()])
-    data.ctrl[:] = 0.0
-    data.ctrl[::4] = start.rotor_thrust.sum(axis=1)
+    data.qfrc_applied[-6 * len(start.p_WB) :].reshape(-1, 6)[:, 3:] = 0.0
+    data.ctrl[:] = start.rotor_thrust.sum(axis=1)
     mujoco.mj_forward(model, data)
 
 

@@ -5,6 +5,7 @@ Bodies are the rows payload, vehicles 0 .. n-1, cables 0 .. n-1 of one `ShapeArr
 kernels decide what touches. MuJoCo only makes the forces of a contact, cables have none.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -46,8 +47,8 @@ def touch_memory(n: int, m: int) -> TouchMemory:
 @njit
 def update_touches(
     bodies: ShapeArrays, attached: Mask, around: Surroundings, memory: TouchMemory
-) -> tuple[float, int]:
-    """Smallest clearance to any present obstacle, and how many contacts began.
+) -> tuple[float, int, float]:
+    """Smallest clearance to any present obstacle, how many contacts began, and the room left.
 
     Cables count while attached. Contacts are those with obstacles and the room, of vehicles with
     each other and with the payload, and of cables with other vehicles than their own.
@@ -59,10 +60,11 @@ def update_touches(
         memory: Updated in place; the first rows of `begun` are the new contacts.
 
     Returns:
-        Clearance, inf without obstacles [m]; number of rows of `begun`.
+        Clearance, inf without obstacles [m]; number of rows of `begun`; a distance that payload
+        and vehicles surely keep from everything: obstacles, room, each other [m].
     """
     n, m = attached.shape[0], around.present.shape[0]
-    best, count = np.inf, 0
+    best, count, gap = np.inf, 0, _team_gap(bodies, n)
     row, column = memory.closest
     if m > 0 and around.present[column] and (row <= n or attached[row - 1 - n]):
         best = shape_distance(bodies, row, around.obstacles, column)
@@ -87,9 +89,24 @@ def update_touches(
                 best = d
                 memory.closest[0], memory.closest[1] = r, j
         if r <= n:
-            count = _note(memory, r, m, room_distance(bodies, r, around), count)
+            wall = room_distance(bodies, r, around)
+            gap = min(gap, wall)
+            count = _note(memory, r, m, wall, count)
         count = _touch_team(bodies, r, reach, attached, memory, count)
-    return best, count
+    return best, count, min(gap, best)
+
+
+@njit
+def _team_gap(bodies: ShapeArrays, n: int) -> float:
+    """Smallest distance of the spheres around payload and vehicles from each other [m]."""
+    p, gap = bodies.p_WO, np.inf
+    for r in range(1, n + 1):
+        reach = bounding_radius(bodies, r)
+        for k in range(r):
+            x, y, z = p[r, 0] - p[k, 0], p[r, 1] - p[k, 1], p[r, 2] - p[k, 2]
+            apart = math.sqrt(x * x + y * y + z * z) - reach - bounding_radius(bodies, k)
+            gap = min(gap, apart)
+    return gap
 
 
 @njit

@@ -16,6 +16,7 @@ from skyhaul.plant.clearance import Surroundings, TouchMemory, update_touches
 from skyhaul.plant.observe import (
     Constraints,
     Observation,
+    fastest,
     observe,
     place_obstacles,
     write_forces,
@@ -25,6 +26,10 @@ from skyhaul.types import Array, Mask
 from skyhaul.world.motion import MotionTable, motion_state
 
 Leaves = tuple[Any, ...]
+
+ALONE_M, FASTEST_MPS, JUMP_M = 0.2, 20.0, 0.02
+"""Two bodies that are farther apart than this [m], no faster than this along any axis [m/s], do
+not meet within a step, nor an obstacle that goes no farther than this along any axis in it [m]."""
 
 
 @njit
@@ -40,7 +45,7 @@ def drive(
 
     Args:
         team: Leaves of `TeamArrays`.
-        inputs: MuJoCo's controls and applied forces, written.
+        inputs: MuJoCo's controls and forces on the joints, written.
         constants: Mixer and drag.
         now: Commanded thrusts (n, 4) [N], who is alive (n,), wind (3,) [m/s].
         thrust: Thrusts, (n, 4) [N]; from now to dt later.
@@ -53,7 +58,7 @@ def drive(
 
 
 @njit
-def move(table: Leaves, t: float, present: Mask, mocap: Array, p_WO: Array, v_WO: Array) -> None:
+def move(table: Leaves, t: float, present: Mask, mocap: Array, p_WO: Array, v_WO: Array) -> float:
     """Obstacles to where they are at time t [s]: into MuJoCo, and their motion into p_WO, v_WO.
 
     Args:
@@ -63,9 +68,12 @@ def move(table: Leaves, t: float, present: Mask, mocap: Array, p_WO: Array, v_WO
         mocap: MuJoCo's places, written.
         p_WO: (m, 3) [m], written.
         v_WO: (m, 3) [m/s], written.
+
+    Returns:
+        See `place_obstacles`.
     """
     motion_state(MotionTable(*table), t, p_WO, v_WO)
-    place_obstacles(mocap, p_WO, present)
+    return place_obstacles(mocap, p_WO, present)
 
 
 @njit
@@ -79,7 +87,7 @@ def look(
     obstacles: Leaves,
     around: Leaves,
     touches: Leaves,
-) -> tuple[bool, float, int]:
+) -> tuple[bool, float, int, bool]:
     """Read MuJoCo out, then find what touches: `observe` and `update_touches`.
 
     Args:
@@ -94,7 +102,8 @@ def look(
         touches: Leaves of `TouchMemory`, updated.
 
     Returns:
-        Whether the accelerations are finite; clearance [m]; how many contacts began.
+        Whether the accelerations are finite; clearance [m]; how many contacts began; whether
+        payload and vehicles are so far from everything that the next step makes no contact.
     """
     shapes = ShapeArrays(*bodies)
     qpos, qvel, qacc = motion
@@ -102,5 +111,6 @@ def look(
         TeamArrays(*team), qpos, qvel, qacc, Constraints(*rows), shapes, Observation(*out)
     )
     surroundings = Surroundings(ShapeArrays(*obstacles), *around)
-    clearance, begun = update_touches(shapes, attached, surroundings, TouchMemory(*touches))
-    return finite, clearance, begun
+    clearance, begun, gap = update_touches(shapes, attached, surroundings, TouchMemory(*touches))
+    alone = gap > ALONE_M and fastest(qvel, TeamArrays(*team).rigid) < FASTEST_MPS
+    return finite, clearance, begun, alone

@@ -13,7 +13,7 @@ from skyhaul.model.state import CableState, TautState, TeamState
 from skyhaul.plant.api import PLANT_STEP_US, Contact, Truth
 from skyhaul.plant.build import OPEN_M, build_model, place, relax, set_taut_state
 from skyhaul.plant.clearance import Surroundings, room_distance, touch_memory
-from skyhaul.plant.cycle import drive, look, move
+from skyhaul.plant.cycle import JUMP_M, drive, look, move
 from skyhaul.plant.events import EventQueue
 from skyhaul.plant.observe import observation, team_bodies, write_forces
 from skyhaul.plant.start import start_state
@@ -23,6 +23,7 @@ from skyhaul.world.motion import obstacle_field
 from skyhaul.world.scenario import Scenario
 
 STEP_S = PLANT_STEP_US / US_PER_S
+_NO_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 _VELOCITY_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL)
 
 
@@ -79,9 +80,9 @@ class MujocoPlant:
         for i in np.flatnonzero(~self._attached):
             self._open(int(i))
         d = self._data
-        self._inputs, self._constants = (d.ctrl, d.xfrc_applied), (self._mixer, self._drag)
+        self._inputs, self._constants = (d.ctrl, d.qfrc_applied), (self._mixer, self._drag)
         self._views, self._mocap = (d.qpos, d.qvel, d.qacc), d.mocap_pos
-        self._hooks_changed = False
+        self._hooks_changed, self._colliding, self._alone = False, True, False
         self._masks: tuple[Mask, Mask] | None = None
         self._bodies = team_bodies(team)
         self._touches = touch_memory(team.count, len(self._field.names))
@@ -120,10 +121,18 @@ class MujocoPlant:
             self._wind.step(self._air)
             self._wind_W = self._wind.at(self._air, self._t_us / US_PER_S)
             frozen(self._wind_W)
-        self._move_obstacles(self._views[0][:3])
+        if self._move_obstacles(self._views[0][:3]) > JUMP_M:
+            self._collide(True)
         mujoco.mj_forward(self._model, self._data)
         self._truth = self._observe()
+        self._collide(not self._alone)
         return self._truth
+
+    def _collide(self, wanted: bool) -> None:
+        """Let MuJoCo look for contacts, or not where there can be none: the result is the same."""
+        if wanted is not self._colliding:
+            self._colliding = wanted
+            self._model.opt.disableflags ^= _NO_CONTACT
 
     def _integrate(self) -> None:
         """One step of RK4: `mj_step` without the part of its first pass that is known."""
@@ -144,6 +153,7 @@ class MujocoPlant:
         set_taut_state(self._model, self._data, self._team, state)
         self._rotors[:] = rotor_thrust
         self._write(self._rotors)
+        self._collide(True)
         mujoco.mj_forward(self._model, self._data)
         self._truth = self._observe()
         return self._truth
@@ -177,23 +187,24 @@ class MujocoPlant:
     def _write(self, rotor_mean: Array) -> None:
         write_forces(*self._inputs, self._mixer, rotor_mean, self._wind_W, self._drag)
 
-    def _move_obstacles(self, p_WL: Array) -> None:
-        """Obstacles to where they are now, with the load at p_WL, (3,) [m]."""
+    def _move_obstacles(self, p_WL: Array) -> float:
+        """Obstacles to where they are now, with the load at p_WL, (3,); how far they go [m]."""
         field, m = self._field, len(self._present)
         if not field.always:
             self._present = self._present | field.present(self._t_us, p_WL.copy())
             frozen(self._present)
         p_WO, v_WO, t_s = np.empty((m, 3)), np.empty((m, 3)), self._t_us / US_PER_S
-        move(tuple(field.motions), t_s, self._present, self._mocap, p_WO, v_WO)
+        way = move(tuple(field.motions), t_s, self._present, self._mocap, p_WO, v_WO)
         kind, size, _, R_WO = field.shapes
         self._obstacles = (ShapeArrays(kind, size, p_WO, R_WO), v_WO)
+        return way
 
     def _observe(self) -> Truth:
         """Read MuJoCo out after a forward pass at the present state."""
         d, o = self._data, observation(len(self._alive))
         obstacles, v_WO = self._obstacles
         alive, attached = self._masks_now()
-        finite, clearance, begun = look(
+        finite, clearance, begun, self._alone = look(
             tuple(self._team),
             self._views,
             (d.efc_type, d.efc_id, d.efc_force),

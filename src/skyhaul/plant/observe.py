@@ -156,32 +156,59 @@ def _read_cable(team: TeamArrays, out: Observation, bodies: ShapeArrays, i: int)
 
 @njit
 def write_forces(
-    ctrl: Array, xfrc: Array, mixer: Array, rotor_mean: Array, wind: Array, drag: Array
+    ctrl: Array, qfrc: Array, mixer: Array, rotor_mean: Array, wind: Array, drag: Array
 ) -> None:
     """Put thrusts, moments and the force of the moving air into MuJoCo.
 
+    Moments turn with their body as the thrusts do: a free joint's last three forces are moments
+    in body axes.
+
     Args:
-        ctrl: MuJoCo's controls, (4 n,), written.
-        xfrc: MuJoCo's forces and moments on every body, W axes, (nbody, 6), written.
+        ctrl: MuJoCo's controls, the thrusts along z_B, (n,) [N], written.
+        qfrc: MuJoCo's forces on the joints, laid out as qvel, written.
         mixer: (4, 4), rotor thrusts to wrench.
         rotor_mean: (n, 4) [N].
         wind: (3,), W axes [m/s].
         drag: Of load and vehicles, (1 + n,) [N s/m].
     """
-    for i in range(rotor_mean.shape[0]):
+    n = rotor_mean.shape[0]
+    first = qfrc.shape[0] - 6 * n
+    for c in range(3):
+        qfrc[c] = drag[0] * wind[c]
+    for i in range(n):
+        at = first + 6 * i
         for a in range(4):
             s = 0.0
             for k in range(4):
                 s += mixer[a, k] * rotor_mean[i, k]
-            ctrl[4 * i + a] = s
-    for i in range(drag.shape[0]):
+            if a == 0:
+                ctrl[i] = s
+            else:
+                qfrc[at + 2 + a] = s
         for c in range(3):
-            xfrc[1 + i, c] = drag[i] * wind[c]
+            qfrc[at + c] = drag[1 + i] * wind[c]
 
 
 @njit
-def place_obstacles(mocap: Array, p_WO: Array, present: Mask) -> None:
-    """Put the obstacles' centres, (m, 3) [m], into MuJoCo; those not `present` far away."""
+def place_obstacles(mocap: Array, p_WO: Array, present: Mask) -> float:
+    """Put the obstacles' centres, (m, 3) [m], into MuJoCo; those not `present` far away.
+
+    Returns:
+        The longest way, along one axis, that any of them goes by that [m].
+    """
+    longest = 0.0
     for j in range(present.shape[0]):
         for c in range(3):
-            mocap[j, c] = p_WO[j, c] if present[j] else (-1e3 if c == 2 else 0.0)
+            place = p_WO[j, c] if present[j] else (-1e3 if c == 2 else 0.0)
+            longest = max(longest, abs(place - mocap[j, c]))
+            mocap[j, c] = place
+    return longest
+
+
+@njit
+def fastest(qvel: Array, rigid: bool) -> float:
+    """Largest component of velocity of load and vehicles [m/s]."""
+    largest = max(abs(qvel[0]), abs(qvel[1]), abs(qvel[2]))
+    for k in range(6 if rigid else 3, qvel.shape[0], 6):
+        largest = max(largest, abs(qvel[k]), abs(qvel[k + 1]), abs(qvel[k + 2]))
+    return largest

@@ -44,10 +44,15 @@ class Codec:
             i = op(out, leaves, i)
         return bytes(out)
 
-    def stencil(self, *leaves: Any) -> "Stencil":  # noqa: ANN401
-        """Encodes messages that differ from this one in their single numbers only."""
+    def stencil(self, *leaves: Any, other: Leaves | None = None) -> "Stencil":  # noqa: ANN401
+        """Encodes messages that differ from this one in their single numbers only.
+
+        Args:
+            leaves: A message.
+            other: Another one; only those single numbers change in which the two differ.
+        """
         out, spots = bytearray(HEADER), list[_Spot]()
-        _trace(self._ops, out, leaves, spots)
+        _trace(self._ops, out, leaves, other, spots)
         return Stencil(bytes(out), tuple(spots))
 
     def decode(self, data: bytes) -> dict[str, Any]:
@@ -80,16 +85,23 @@ class Stencil:
         return bytes(out)
 
 
-def _trace(ops: Sequence[Op], out: bytearray, leaves: Leaves, spots: list[_Spot]) -> None:
-    """Encode, noting where runs of single numbers come to stand."""
+def _trace(
+    ops: Sequence[Op], out: bytearray, leaves: Leaves, other: Leaves | None, spots: list[_Spot]
+) -> None:
+    """Encode, noting where runs of single numbers that change come to stand."""
     i = 0
     for op in ops:
         if isinstance(op, _Scalars):
-            spots.append(_Spot(len(out), op.form(out), op.count))
+            here = slice(i, i + op.count)
+            changes = [True] * op.count
+            if other is not None:
+                changes = [a != b for a, b in zip(leaves[here], other[here], strict=True)]
+            spots += op.runs(len(out), changes)
         if isinstance(op, _Messages):
             _put_count(out, leaves[i])
-            for message in leaves[i]:
-                _trace(op.ops, out, message, spots)
+            others = [None] * len(leaves[i]) if other is None else other[i]
+            for message, another in zip(leaves[i], others, strict=True):
+                _trace(op.ops, out, message, another, spots)
             i += 1
         else:
             i = op(out, leaves, i)
@@ -154,11 +166,21 @@ class _Scalars:
 
     def __init__(self, codes: str) -> None:
         self._forms = tuple(_aligned(codes, k) for k in range(8))
-        self.count = len(codes)
+        self._codes, self.count = codes, len(codes)
 
-    def form(self, out: bytearray) -> struct.Struct:
-        """Their format behind what is written already."""
-        return self._forms[(len(out) - 4) & 7]
+    def runs(self, start: int, changes: Sequence[bool]) -> list[_Spot]:
+        """Where the runs of those that change stand, when the first number stands at `start`."""
+        spots, k = list[_Spot](), 0
+        while k < self.count:
+            first = k
+            while k < self.count and changes[k]:
+                k += 1
+            if k > first:
+                at = start + _aligned(self._codes[:first], (start - 4) & 7).size
+                run = _aligned(self._codes[first:k], (at - 4) & 7)
+                spots.append(_Spot(at, run, k - first))
+            k += 1
+        return spots
 
     def __call__(self, out: bytearray, leaves: Leaves, i: int) -> int:
         out += self._forms[(len(out) - 4) & 7].pack(*leaves[i : i + self.count])

@@ -88,4 +88,4 @@ def _stands_as(known: StaticObject | None, o: ObjectReading) -> bool:
     """Whether an object that stands is where it is known to stand."""
     if known is None:
         return False
-    return np.array_equal(known.p_WO, o.p_WO) and np.array_equal(known.R_WO, o.R_WO)
+    return known.p_WO.tobytes() == o.p_WO.tobytes() and known.R_WO.tobytes() == o.R_WO.tobytes()
