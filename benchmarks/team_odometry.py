@@ -13,7 +13,7 @@ from skyhaul.geometry.quaternion import quat_rotate
 from skyhaul.mission.odometry import ModelledOdometry
 from skyhaul.perception.vio.api import NavState, VioEstimate, VioStatus
 from skyhaul.plant.api import PLANT_STEP_US
-from skyhaul.types import US_PER_S, Array
+from skyhaul.types import US_PER_S, Array, TimeUs
 
 DRIFT_FACTOR = 5.0
 """How much faster the odometry of a drifting vehicle drifts; its covariance says so."""
@@ -36,8 +36,10 @@ def drifting(model: ModelledOdometry) -> ModelledOdometry:
     )
 
 
-def modelled(recording: Recording, vehicle: int, model: ModelledOdometry) -> Iterator[VioEstimate]:
-    """What a model makes of the truth."""
+def modelled(
+    recording: Recording, vehicle: int, model: ModelledOdometry
+) -> Iterator[tuple[TimeUs, VioEstimate]]:
+    """What a model makes of the truth, at once."""
     imu, n = recording.config.sensors.imu.calibration(), recording.config.team.count
     memory = model.init(recording.seed, vehicle, n)
     steps = US_PER_S // model.rate_hz // PLANT_STEP_US
@@ -45,14 +47,14 @@ def modelled(recording: Recording, vehicle: int, model: ModelledOdometry) -> Ite
         truth = recording.track.truth(k)
         memory, estimate = model.step(memory, truth, imu, recording.bias[1 + vehicle])
         assert estimate is not None
-        yield estimate
+        yield estimate.stamp_us, estimate
 
 
-def from_file(file: Path) -> Iterator[VioEstimate]:
-    """Odometry that an estimator wrote into a NumPy archive.
+def from_file(file: Path) -> Iterator[tuple[TimeUs, VioEstimate]]:
+    """Odometry that an estimator wrote into a NumPy archive (`vio_flights.keep_estimates`).
 
-    Rows: `stamp_us`, `p_WI`, `q_WI`, `v_WI`, `gyro_bias`, `accel_bias`, `covariance` (k, 15, 15)
-    of `VioEstimate`, and `tracking` (k,).
+    Rows: `came_us`, when the readings had come that made it, `stamp_us`, `p_WI`, `q_WI`, `v_WI`,
+    `gyro_bias`, `accel_bias`, `covariance` (k, 15, 15) of `VioEstimate`, and `tracking` (k,).
     """
     with np.load(file) as rows:
         kept = {name: rows[name] for name in rows.files}
@@ -60,4 +62,5 @@ def from_file(file: Path) -> Iterator[VioEstimate]:
         names = ("p_WI", "q_WI", "v_WI", "gyro_bias", "accel_bias")
         status = VioStatus.TRACKING if kept["tracking"][k] else VioStatus.LOST
         state = NavState(*(kept[name][k].copy() for name in names))
-        yield VioEstimate(stamp, status, state, kept["covariance"][k].copy(), 0, 0)
+        estimate = VioEstimate(stamp, status, state, kept["covariance"][k].copy(), 0, 0)
+        yield int(kept["came_us"][k]), estimate

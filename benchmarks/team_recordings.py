@@ -63,13 +63,18 @@ def down_only(config: RunConfig) -> RunConfig:
     return replace(config, sensors=replace(config.sensors, rig=rig))
 
 
-def record(
-    scenario: str, seed: int, folder: Path, overrides: dict[str, Any] | None = None
-) -> Recording:
-    """A flight and its readings, from the folder where they are."""
+def record(scenario: str, seed: int, folder: Path, flown: Path | None = None) -> Recording:
+    """A flight and its readings, from the folder where they are.
+
+    Args:
+        scenario: Its name.
+        seed: Of the flight.
+        folder: What is made stays there.
+        flown: File of the truth of this flight, where it has been flown before.
+    """
     config = down_only(load_config(RunConfig, scenario))
     folder.mkdir(parents=True, exist_ok=True)
-    truth = folder / f"{scenario}_{seed}_truth.npz"
+    truth = flown or folder / f"{scenario}_{seed}_truth.npz"
     if not truth.is_file():
         recorder = TrackRecorder(_Silent())  # type: ignore[arg-type]
         print(scenario, seed, fly(config, seed, recorder).reason, flush=True)

@@ -3,7 +3,8 @@
 
 Vehicles of `paper`, by the filter with all four cameras and with the front pair alone (as many
 corners in all). Twice: as flown, and with a plain wall before the front pair from 8 s to 12 s,
-where its images keep a hundredth of their contrast. Needs what `vio_flights.py` rendered.
+where its images keep a hundredth of their contrast. Takes what `vio_flights.py` rendered in the
+same --work, and renders what is missing.
 """
 
 import argparse
@@ -14,10 +15,11 @@ from typing import Any
 
 import numpy as np
 from calibration import calibration_s
+from pool import run_all
 from provenance import provenance, write_report
 from result_file import Row
-from vio_flight_data import FlightJob, Seen, seen_of
-from vio_flights import CASES, errors_of, fly_odometry, start_pose
+from vio_flight_data import Seen, fly_track, seen_of
+from vio_flights import errors_of, flight_job, fly_odometry, start_pose
 
 from skyhaul.perception.vio.api import VioStatus
 from skyhaul.perception.vio.vehicle import VehicleVio
@@ -50,16 +52,19 @@ class Some:
             yield replace(reading, frames=tuple(frames))
 
 
-def run(
-    seed: int, vehicle: int, cameras: tuple[int, ...], plain: bool, work: Path
-) -> dict[str, Any]:
+Job = tuple[int, int, tuple[int, ...], bool, Path]
+"""Seed, vehicle, cameras, whether the wall is plain, work folder."""
+
+
+def run(what: Job) -> dict[str, Any]:
     """One vehicle with some of its cameras, which come first in the rig."""
-    scenario, overrides = CASES["paper"]
-    job = FlightJob(scenario, seed, overrides, "paper")
+    seed, vehicle, cameras, plain, work = what
+    job = flight_job("paper", seed)
     seen, calibration = seen_of(job, vehicle, work), job.config().sensors.calibration()
     rig = replace(calibration.rig, cameras=tuple(calibration.rig.cameras[c] for c in cameras))
     odometry = VehicleVio().build(replace(calibration, rig=rig))
-    estimates = fly_odometry(odometry, Some(seen, cameras, plain), start_pose(seen, seed, vehicle))
+    start = start_pose(seen, seed, vehicle)
+    estimates, _ = fly_odometry(odometry, Some(seen, cameras, plain), start)
     e, _ = errors_of(estimates, seen)
     off = np.linalg.norm(e.p, axis=1)
     return {
@@ -69,7 +74,36 @@ def run(
         "attitude_rms_deg": float(np.degrees(np.sqrt(np.mean(np.sum(e.turn**2, axis=1))))),
         "nees_mean": float(e.nees.mean()),
         "lost_frames": sum(x.status is VioStatus.LOST for x in estimates),
+        "calibration_s": calibration_s(),
     }  # fmt: skip
+
+
+def _fly(flight: tuple[int, Path]) -> bool:
+    seed, work = flight
+    return fly_track(flight_job("paper", seed), work)
+
+
+def _render(what: tuple[int, int, Path]) -> None:
+    seed, vehicle, work = what
+    seen_of(flight_job("paper", seed), vehicle, work)
+
+
+def rows(runs: list[dict[str, Any]]) -> list[Row]:
+    """The lines of the table."""
+    table = []
+    for plain in (False, True):
+        for count in (4, len(FRONT)):
+            mine = [r for r in runs if (r["plain"], r["cameras"]) == (plain, count)]
+            what = "a plain wall before the front pair for 4 s" if plain else "as flown"
+            name = f"{count} cameras, {what}"
+            share = 100 * np.array([r["ate_share"] for r in mine])
+            far = 100 * max(r["ate_max_m"] for r in mine)
+            table += [
+                Row(f"{name}: ATE, mean (worst)", f"{share.mean():.2f} ({share.max():.2f})", "%"),
+                Row(f"{name}: largest error of the position", far, "cm"),
+                Row(f"{name}: frames LOST", sum(r["lost_frames"] for r in mine)),
+            ]
+    return table
 
 
 def main() -> None:
@@ -77,37 +111,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=2, help="flights (default: 2)")
     parser.add_argument("--work", type=Path, default=Path("build/vio_flights"))
+    parser.add_argument("--workers", type=int, default=1, help="processes (default: 1)")
     args = parser.parse_args()
     args.work.mkdir(parents=True, exist_ok=True)
-    runs, timed, table = [], [calibration_s()], []
-    for plain in (False, True):
-        for cameras in ((0, 1, 2, 3), FRONT):
-            mine = []
-            for seed in range(args.seeds):
-                for vehicle in range(4):
-                    mine.append(run(seed, vehicle, cameras, plain, args.work))
-                    print({k: round(v, 4) for k, v in mine[-1].items()}, flush=True)
-            what = "a plain wall before the front pair for 4 s" if plain else "as flown"
-            name = f"{len(cameras)} cameras, {what}"
-            share = 100 * np.array([r["ate_share"] for r in mine])
-            lost = sum(r["lost_frames"] for r in mine)
-            table += [
-                Row(f"{name}: ATE, mean (worst)", f"{share.mean():.2f} ({share.max():.2f})", "%"),
-                Row(
-                    f"{name}: largest error of the position",
-                    100 * max(r["ate_max_m"] for r in mine), "cm",
-                ),
-                Row(f"{name}: frames LOST", lost),
-            ]  # fmt: skip
-            runs += mine
-            timed.append(calibration_s())
+    for _ in run_all(_fly, [(seed, args.work) for seed in range(args.seeds)], args.workers):
+        pass
+    vehicles = [(seed, vehicle) for seed in range(args.seeds) for vehicle in range(4)]
+    for _ in run_all(_render, [(s, v, args.work) for s, v in vehicles], args.workers):
+        pass
+    jobs = [
+        (s, v, cameras, plain, args.work)
+        for plain in (False, True)
+        for cameras in ((0, 1, 2, 3), FRONT)
+        for s, v in vehicles
+    ]
+    done = {}
+    for job, figures in run_all(run, jobs, args.workers):
+        done[job] = figures
+        print({k: round(v, 4) for k, v in figures.items()}, flush=True)
+    runs = [done[job] for job in jobs]
+    table = rows(runs)
     for row in table:
         print(f"{row.measure}: {row.value} {row.unit}")
     report = {
         "claim": (__doc__ or "").splitlines()[0].removeprefix("Claim: ").rstrip("."),
         "rows": [vars(row) for row in table],
         "runs": runs,
-        **provenance(timed),
+        **provenance([r["calibration_s"] for r in runs]),
     }
     print(f"-> {write_report('vio_cameras', report)}")
 

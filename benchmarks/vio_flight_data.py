@@ -43,14 +43,26 @@ class _Nobody:
         return lambda *_: None
 
 
+def track_file(job: FlightJob, folder: Path) -> Path:
+    """Where the truth of a flight is kept."""
+    return folder / f"{job.name}-track.npz"
+
+
+def fly_track(job: FlightJob, folder: Path) -> bool:
+    """Fly it unless its file is there; whether it had to be flown."""
+    path = track_file(job, folder)
+    if path.is_file():
+        return False
+    recorder = TrackRecorder(_Nobody())
+    fly(job.config(), job.seed, recorder)
+    recorder.save(path)
+    return True
+
+
 def replay_of(job: FlightJob, folder: Path) -> Replay:
     """The flight, flown unless its file is there."""
-    path, config = folder / f"{job.name}-track.npz", job.config()
-    if not path.is_file():
-        recorder = TrackRecorder(_Nobody())
-        fly(config, job.seed, recorder)
-        recorder.save(path)
-    return open_replay(config, job.seed, path)
+    fly_track(job, folder)
+    return open_replay(job.config(), job.seed, track_file(job, folder))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,16 +14,17 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from calibration import calibration_s
+from pool import run_all
 from provenance import commit, provenance, write_report
 from result_file import Row
-from vio_flight_data import FlightJob, Seen, seen_of
+from vio_flight_data import FlightJob, Seen, fly_track, seen_of
 
 from skyhaul.evaluation.trajectory_error import Trajectory, match, trajectory_error
 from skyhaul.geometry.quaternion import quat_to_R
@@ -104,14 +105,43 @@ def start_pose(seen: Seen, seed: int, vehicle: int) -> StartPose:
     return StartPose(p, yaw, SURVEY_M, SURVEY_RAD, STANDS_US)
 
 
-def fly_odometry(odometry: VehicleOdometry, seen: Seen, start: StartPose) -> list[VioEstimate]:
-    """All estimates of a vehicle."""
-    memory, out = odometry.init(start), []
+def fly_odometry(
+    odometry: VehicleOdometry, seen: Seen, start: StartPose
+) -> tuple[list[VioEstimate], list[int]]:
+    """All estimates of a vehicle, and when the readings had come that made them [us]."""
+    memory, out, came_us = odometry.init(start), [], []
     for reading in seen.readings():
         memory, estimate = odometry.step(memory, reading)
         if estimate is not None:
             out.append(estimate)
-    return out
+            came_us.append(reading.stamp_us)
+    return out, came_us
+
+
+def odometry_file(work: Path, kind: str, case: str, seed: int, vehicle: int) -> Path:
+    """Where the estimates of a vehicle are kept, as `team_odometry.from_file` reads them."""
+    return work / f"odometry-{kind}" / f"{case}_{seed}_vehicle{vehicle}.npz"
+
+
+def keep_estimates(path: Path, estimates: Sequence[VioEstimate], came_us: Sequence[int]) -> None:
+    """Write the estimates that have a state."""
+    both = zip(estimates, came_us, strict=True)
+    rows = [(e, e.state, t) for e, t in both if e.state is not None]
+    part = path.with_suffix(".part.npz")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez(
+        part,
+        stamp_us=np.array([e.stamp_us for e, _, _ in rows]),
+        came_us=np.array([t for _, _, t in rows]),
+        p_WI=np.array([s.p_WI for _, s, _ in rows]),
+        q_WI=np.array([s.q_WI for _, s, _ in rows]),
+        v_WI=np.array([s.v_WI for _, s, _ in rows]),
+        gyro_bias=np.array([s.gyro_bias for _, s, _ in rows]),
+        accel_bias=np.array([s.accel_bias for _, s, _ in rows]),
+        covariance=np.array([e.covariance for e, _, _ in rows]),
+        tracking=np.array([e.status is VioStatus.TRACKING for e, _, _ in rows]),
+    )
+    part.replace(path)
 
 
 def errors_of(estimates: Sequence[VioEstimate], seen: Seen) -> tuple[Errors, Any]:
@@ -136,13 +166,13 @@ def errors_of(estimates: Sequence[VioEstimate], seen: Seen) -> tuple[Errors, Any
 
 def run(case: str, seed: int, vehicle: int, vio: VehicleVio, work: Path) -> dict[str, Any]:
     """One vehicle of one flight."""
-    scenario, overrides = CASES[case]
-    job = FlightJob(scenario, seed, overrides, case)
+    job = flight_job(case, seed)
     seen, sensors = seen_of(job, vehicle, work), job.config().sensors
     built = vio.build(sensors.calibration())
     warm_up(built.estimator.rig)
     odometry = replace(built, tracker=Timed(built.tracker), estimator=Timed(built.estimator))
-    estimates = fly_odometry(odometry, seen, start_pose(seen, seed, vehicle))
+    estimates, came_us = fly_odometry(odometry, seen, start_pose(seen, seed, vehicle))
+    keep_estimates(odometry_file(work, vio.kind, case, seed, vehicle), estimates, came_us)
     e, pairs = errors_of(estimates, seen)
     none, se3 = trajectory_error(pairs, "none"), trajectory_error(pairs, "se3")
     path_m, angle = float(e.path_m[-1]), np.degrees(np.linalg.norm(e.turn, axis=1))
@@ -237,6 +267,36 @@ def rows(case: str, runs: Sequence[dict[str, Any]]) -> list[Row]:
     ]
 
 
+Job = tuple[str, int, int, Literal["smoother", "ekf"]]
+"""Case, seed, vehicle, estimator."""
+
+
+def run_jobs(jobs: Sequence[Job], work: Path, workers: int) -> Iterator[tuple[Job, dict[str, Any]]]:
+    """Fly what has not been flown, then run each vehicle; figures as they are done."""
+    flights = list(dict.fromkeys((case, seed) for case, seed, _, _ in jobs))
+    for (case, seed, _), new in run_all(_fly, [(c, s, work) for c, s in flights], workers):
+        if new:
+            print(f"{case} seed {seed}: flown", flush=True)
+    for (job, _), figures in run_all(_run, [(job, work) for job in jobs], workers):
+        yield job, figures
+
+
+def flight_job(case: str, seed: int) -> FlightJob:
+    """The flight of a case."""
+    scenario, overrides = CASES[case]
+    return FlightJob(scenario, seed, overrides, case)
+
+
+def _fly(flight: tuple[str, int, Path]) -> bool:
+    case, seed, work = flight
+    return fly_track(flight_job(case, seed), work)
+
+
+def _run(job: tuple[Job, Path]) -> dict[str, Any]:
+    (case, seed, vehicle, kind), work = job
+    return run(case, seed, vehicle, VehicleVio(kind=kind), work)
+
+
 def arguments() -> argparse.Namespace:
     """The flags."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -250,6 +310,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--work", type=Path, default=Path("build/vio_flights"), help="folder of what is kept"
     )
+    parser.add_argument("--workers", type=int, default=1, help="processes (default: 1)")
     parser.add_argument("--quick", action="store_true", help="seed 0, vehicle 0; writes nothing")
     return parser.parse_args()
 
@@ -273,12 +334,9 @@ def main() -> None:
         for v in vehicles
         for k in kinds
     ]
-    for job in jobs:
-        if job in done:
-            continue
-        case, seed, vehicle, kind = job
-        done[job] = run(case, seed, vehicle, VehicleVio(kind=kind), args.work)
-        _print(done[job])
+    for job, figures in run_jobs([j for j in jobs if j not in done], args.work, args.workers):
+        done[job] = figures
+        _print(figures)
         if not args.quick:
             with kept.open("a") as file:
                 file.write(json.dumps(done[job]) + "\n")
@@ -300,7 +358,7 @@ def main() -> None:
         print(f"-> {write_report(args.name, report)}")
 
 
-def _read(kept: Path) -> dict[tuple[str, int, int, str], dict[str, Any]]:
+def _read(kept: Path) -> dict[Job, dict[str, Any]]:
     runs = [json.loads(line) for line in kept.read_text().splitlines()]
     return {(r["case"], r["seed"], r["vehicle"], r["kind"]): r for r in runs}
 

@@ -11,11 +11,12 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import gtsam
 import numpy as np
 from calibration import calibration_s
+from pool import run_all
 from provenance import provenance, write_report
 from result_file import Row
 from simulated_tracks import Flight, simulate
@@ -98,17 +99,28 @@ def real_runs(truth_file: Path) -> Iterator[dict[str, Any]]:
             yield {"begin_s": begin_s} | figures(kind, begun_at(recording, begin_s), truth)
 
 
-def outlier_runs(seeds: int) -> Iterator[dict[str, Any]]:
-    """Made-up flights with sliding tracks."""
-    for share in OUTLIERS:
-        for seed in range(seeds):
-            flown = simulate(Flight(seed=seed, duration_s=12.0, outliers=share, pace=1.3))
-            for robust in ROBUST:
-                kind = SmootherVio(window=WindowParams(robust=robust))
-                about = {"outliers": share, "seed": seed, "robust": robust}
-                yield about | figures(kind, flown.recording, flown.truth)
-            about = {"outliers": share, "seed": seed, "robust": "gate"}
-            yield about | figures(EkfVio(), flown.recording, flown.truth)
+Made = tuple[float, int, Robust | Literal["gate"]]
+"""Share of the tracks that slide, seed, M-estimator of the smoother; `gate`: the filter."""
+
+
+def outlier_run(what: Made) -> dict[str, Any]:
+    """One made-up flight with sliding tracks."""
+    share, seed, robust = what
+    flown = simulate(Flight(seed=seed, duration_s=12.0, outliers=share, pace=1.3))
+    kind = EkfVio() if robust == "gate" else SmootherVio(window=WindowParams(robust=robust))
+    about = {"outliers": share, "seed": seed, "robust": robust}
+    return about | figures(kind, flown.recording, flown.truth)
+
+
+def outlier_runs(seeds: int, workers: int) -> list[dict[str, Any]]:
+    """Made-up flights with sliding tracks, in order."""
+    robusts: tuple[Robust | Literal["gate"], ...] = (*ROBUST, "gate")
+    jobs = [(share, s, r) for share in OUTLIERS for s in range(seeds) for r in robusts]
+    done = {}
+    for job, run in run_all(outlier_run, jobs, workers):
+        done[job] = run
+        print({k: round(v, 4) if isinstance(v, float) else v for k, v in run.items()}, flush=True)
+    return [done[job] for job in jobs]
 
 
 def outlier_table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -157,6 +169,7 @@ def main() -> None:
     default = Path(__file__).parents[2] / "shared" / "data"
     parser.add_argument("--data", type=Path, default=default, help="folder of the recordings")
     parser.add_argument("--seeds", type=int, default=3, help="made-up flights (default: 3)")
+    parser.add_argument("--workers", type=int, default=1, help="processes (default: 1)")
     args = parser.parse_args()
     truth_file = args.data / "euroc" / "V1_01_easy_truth.csv"
     real = []
@@ -168,7 +181,7 @@ def main() -> None:
             real.append(run)
     else:
         print(f"real clip skipped: no {truth_file}; give --data DIR")
-    made_up = list(outlier_runs(args.seeds))
+    made_up = outlier_runs(args.seeds, args.workers)
     table = outlier_table(made_up)
     for row in table:
         print({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()})

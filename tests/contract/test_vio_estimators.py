@@ -16,9 +16,10 @@ from skyhaul.errors import SensorDataError
 from skyhaul.evaluation.trajectory_error import Trajectory, match, pose_nees, trajectory_error
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.geometry.so3 import rotation_z
-from skyhaul.perception.vio.api import StartPose, TrackFrame, VioStatus
+from skyhaul.perception.vio.api import StartPose, TrackFrame, V, VioStatus
 from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.smoother import SmootherVio
+from skyhaul.sensors.api import ImuReading
 
 ESTIMATORS = [SmootherVio(), EkfVio()]
 
@@ -218,3 +219,78 @@ def test_landmarks_lie_on_the_walls(kind):
 
 def heading(R):
     return np.arctan2(R[1, 0], R[0, 0])
+
+
+STANDS = Flight(duration_s=9.0, still_s=99.0)
+
+
+def plain_wall(frame):
+    """What a tracker follows in the noise of an image: it stays where it is, however one flies."""
+    at = np.random.default_rng(4).uniform(-0.5, 0.5, (25, 2))
+    noise = np.random.default_rng(frame.stamp_us).normal(0.0, 5e-4, (25, 2))
+    return TrackFrame(frame.stamp_us, 10_000 + np.arange(25), np.zeros(25, np.int64), at + noise)
+
+
+@every_estimator
+def test_before_a_plain_wall_a_flying_vehicle_is_not_taken_for_one_that_stands(kind):
+    wall = (5.0, 7.5)
+    estimates, _ = follow(kind, PLAIN, wall, hide=plain_wall)
+    dark, _ = follow(kind, PLAIN, wall)
+    at = {round(e.stamp_us / 1e6, 2): e for e in estimates}
+    if kind.kind == "ekf":  # the smoother makes landmarks of the noise for a while
+        assert at[7.4].status is VioStatus.LOST
+    assert at[9.0].status is VioStatus.TRACKING
+    worst, unaided = (trajectory_error(scored(out, PLAIN)).ate_max_m for out in (estimates, dark))
+    assert worst < 1.1 * unaided + 0.02  # no worse than seeing nothing
+    # Nothing is held to be known that the images did not show.
+    unseen = next(e for e in dark if e.stamp_us == at[7.4].stamp_us)
+    sigma = [np.trace(e.covariance[V, V]) for e in (at[7.4], unseen)]
+    assert sigma[0] > 0.7 * sigma[1]
+
+
+def stood(kind, dark, jolt_mps=0.0):
+    """Estimates of a vehicle that stands, blind for a while, amidst which its accelerometer clips.
+
+    What the clipped samples lack adds up to a velocity that the covariance knows nothing of.
+    """
+    recording = flown(STANDS).recording
+    estimator = kind.build(recording.rig, recording.sigma)
+    memory, out = estimator.init(StartPose()), {}
+    for imu, frame in recording.readings():
+        t_s = frame.stamp_us / 1e6
+        if jolt_mps and 4.0 < t_s <= 4.2:
+            kick = [0.0, jolt_mps / 0.2, 0.0]
+            imu = ImuReading(imu.stamp_us, imu.gyro_I, imu.accel_I + kick)
+        hidden = dark[0] <= t_s < dark[1]
+        memory, estimate = estimator.step(memory, imu, blind(frame) if hidden else frame)
+        out[round(t_s, 2)] = estimate
+    return out
+
+
+def speed(estimate):
+    return np.linalg.norm(estimate.state.v_WI)
+
+
+@every_estimator
+def test_a_vehicle_that_stands_is_held(kind):
+    last = stood(kind, (99.0, 99.0))[9.0]
+    assert last.status is VioStatus.TRACKING
+    assert speed(last) < 0.02
+    assert np.sqrt(np.trace(last.covariance[V, V])) < 0.06
+    assert np.linalg.norm(last.state.p_WI) < 0.03
+
+
+@every_estimator
+def test_after_long_dead_reckoning_it_comes_to_rest_where_it_stands(kind):
+    at = stood(kind, (2.0, 6.0))
+    assert np.sqrt(np.trace(at[6.0].covariance[V, V])) < 2.0
+    assert speed(at[7.2]) < 0.03
+    assert at[7.2].status is VioStatus.TRACKING
+
+
+@every_estimator
+def test_tracks_and_imu_that_stand_for_long_overrule_a_velocity_that_is_sure_of_itself(kind):
+    at = stood(kind, (3.9, 4.5), jolt_mps=1.5)
+    before, variance = at[4.6].state.v_WI, at[4.6].covariance[V, V]
+    assert before @ np.linalg.solve(variance, before) > 100.0  # sure, and wrong
+    assert speed(at[9.0]) < 0.03

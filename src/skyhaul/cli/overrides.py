@@ -15,11 +15,11 @@ def run_overrides(args: argparse.Namespace) -> list[str]:
     """Entries of `skyhaul run`: its own flags, then --set, which wins.
 
     Raises:
-        ConfigError: For `--perception full`, which needs estimators that work on sensor data.
+        ConfigError: For `--perception full`: the odometry does not run inside a flight yet.
     """
     if args.perception == "full":
         raise ConfigError(
-            "--perception full: this version has no estimators that work on sensor data; "
+            "--perception full: the vehicles' own odometry does not run inside a flight yet; "
             "fly with --perception truth"
         )
     flags = []

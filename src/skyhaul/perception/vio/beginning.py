@@ -31,7 +31,8 @@ class Beginning(Params):
     """Frames and samples that are kept [s]."""
 
     def __post_init__(self) -> None:
-        least_s = max(2.0, 1.1 * self.moving.span_s, 1.1 * self.standing.init_s)
+        standing = self.standing
+        least_s = max(1.1 * self.moving.span_s, 1.1 * standing.init_s, 1.1 * standing.certain_s)
         if not self.keep_s >= least_s:
             raise ValueError(f"keep_s must be >= {least_s:g}, got {self.keep_s}")
 

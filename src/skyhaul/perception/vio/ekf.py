@@ -35,7 +35,7 @@ from skyhaul.perception.vio.clones import (
 )
 from skyhaul.perception.vio.imu import ImuNoise, advance, segments
 from skyhaul.perception.vio.intake import Intake
-from skyhaul.perception.vio.standing import stands
+from skyhaul.perception.vio.rest import Rest, rest_of, widened
 from skyhaul.perception.vio.triangulation import Point, locate
 from skyhaul.sensors.api import ImuReading
 from skyhaul.types import US_PER_S, Array, IntArray, TimeUs
@@ -187,8 +187,10 @@ class EkfEstimator:
         p, now, k = self.params, frame.stamp_us, memory.newest + 1
         filter_ = clone(filter_, k)
         standing = p.beginning.standing
-        rests = stands(standing, memory.intake.frames, memory.intake.imu, standing.window_s)
-        if rests:
+        rest = rest_of(standing, memory.intake, filter_.state, filter_.covariance[:NE, :NE])
+        if rest is Rest.DESPITE:
+            filter_ = replace(filter_, covariance=widened(filter_.state, filter_.covariance))
+        if rest is not Rest.NO:
             H = np.zeros((3, len(filter_.covariance)))
             H[:, V] = np.eye(3)
             filter_ = correct(filter_, -filter_.state.v_WI, H, standing.speed_sigma_mps)
@@ -206,7 +208,7 @@ class EkfEstimator:
             stamp_us=now,
             newest=k,
             tracks=tracks,
-            seen_us=now if used or rests else memory.seen_us,
+            seen_us=now if used or rest is not Rest.NO else memory.seen_us,
             used=used,
             rejected=rejected,
         )

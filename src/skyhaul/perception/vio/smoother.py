@@ -20,7 +20,7 @@ from skyhaul.perception.vio.beginning import Beginning, begin
 from skyhaul.perception.vio.imu import ImuNoise, advance, segments
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.pose_update import TukeyPose
-from skyhaul.perception.vio.standing import stands
+from skyhaul.perception.vio.rest import Rest, brought_to_rest, rest_of
 from skyhaul.perception.vio.window import (
     Setting,
     Window,
@@ -108,14 +108,17 @@ class SmootherEstimator:
         window, now = memory.window, tracks.stamp_us
         samples = segments(memory.intake.imu, window.stamp_us, now)
         due_us = window.stamp_us + round(0.99 * self.params.keyframe_s * US_PER_S)
+        state, Phi, Q = advance(window.state, samples, self.params.noise.densities())
+        covariance = Phi @ window.covariance @ Phi.T + Q
         if now < due_us:
-            state, Phi, Q = advance(window.state, samples, self.params.noise.densities())
-            covariance = Phi @ window.covariance @ Phi.T + Q
             return memory, self._estimate(memory, state, covariance)
         standing = self.params.beginning.standing
-        rests = stands(standing, memory.intake.frames, memory.intake.imu, standing.window_s)
-        window = add_keyframe(self.setting(), window, samples, tracks, rests)
-        seen = window.used >= self.params.least_landmarks or rests
+        rest = rest_of(standing, memory.intake, state, covariance)
+        if rest is Rest.DESPITE:
+            window = open_window(now, brought_to_rest(standing, state, covariance), tracks)
+        else:
+            window = add_keyframe(self.setting(), window, samples, tracks, rest is Rest.YES)
+        seen = window.used >= self.params.least_landmarks or rest is not Rest.NO
         memory = replace(memory, window=window, seen_us=now if seen else memory.seen_us)
         return memory, self._estimate(memory, window.state, window.covariance)
 

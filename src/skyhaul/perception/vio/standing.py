@@ -31,6 +31,8 @@ class Standing(Params):
     """Without tracks: largest standard deviation of the angular rate [rad/s]."""
     accel_std_mps2: float = 0.1
     """Without tracks: largest standard deviation of the specific force [m/s^2]."""
+    certain_s: float = 2.0
+    """An estimate that moves is overruled by tracks and IMU that stand for this long [s]."""
     init_s: float = 1.0
     """Time to stand before gravity and biases are taken [s]."""
     speed_sigma_mps: float = 0.05
