@@ -293,3 +293,18 @@ def test_a_view_of_another_size_or_an_earlier_time_is_refused():
 def test_parameters_out_of_range_are_refused_by_name(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         EventPixels(**wrong)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_pixel_that_is_shown_no_number_holds_and_then_recovers(bad):
+    params, times = replace(IDEAL, cutoff_hz=300.0), list(range(0, 100_001, 5_000))
+    views = [view_of([-1.0 + 3e-6 * t, -1.0]) for t in times]
+    for k in (0, 4):
+        light = views[k].light.copy()
+        light[1] = bad
+        views[k] = views[k]._replace(light=light)
+    memory = start(params, views[0])
+    for view, t_us in zip(views[1:], times[1:], strict=True):
+        memory, *_ = params.step(memory, view, t_us)
+        assert np.all(np.isfinite(memory.pixels.state.low_pass))
+    assert memory.pixels.state.low_pass[1] == pytest.approx(-1.0, abs=1e-3)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ray caster against signed distances written out once more, and what must not matter."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,9 @@ from skyhaul.geometry.shapes import Box, Sphere, shape_size
 from skyhaul.sensors.imaging.arrays import NOBODY, SKY
 from skyhaul.sensors.imaging.frame import blank_frame, z_depth
 from skyhaul.sensors.imaging.lens import make_lens
+from skyhaul.sensors.imaging.scene import build_scene
 from skyhaul.sensors.rig import mount_rotation
+from skyhaul.world.obstacles import Obstacle
 
 FORWARD = mount_rotation(0.0, 0.0, 0.0)
 CAMERA = RadTan.from_fov((90, 66), 84.0, (-0.28, 0.07, 2e-4, 1e-4))
@@ -158,3 +162,38 @@ def test_frames_are_the_same_to_the_byte_and_buffers_leave_no_trace(still, see):
     again = see(still, CAMERA, EYE, FORWARD, NOBODY, frame=frame, lens=lens)
     for a, b in zip(kept, (again.grey, again.range, again.object_id), strict=True):
         assert a.tobytes() == b.tobytes()
+
+
+ODD = {
+    "pinhole": RadTan(size_px=(91, 67), focal_px=(60.0, 60.0), center_px=(45.0, 33.0)),
+    "fisheye": Equidistant.from_fov((71, 51), 150.0),
+}
+
+
+@pytest.mark.parametrize("eye", [EYE, [-7.0, 0.0, 2.0]], ids=["inside", "outside"])
+@pytest.mark.parametrize("model", ODD.values(), ids=ODD.keys())
+@pytest.mark.parametrize("azimuth", [0.0, 90.0, 180.0, 270.0])
+def test_rays_along_an_axis_see_what_their_neighbours_see(still, see, model, azimuth, eye):
+    """The middle row and column of an odd image have rays with components of exactly zero."""
+    R = np.round(mount_rotation(azimuth, 0.0, 0.0))
+    assert np.any(world_rays(model, R) == 0.0)
+    frame = see(still, model, eye, R)
+    assert frame.range.min() > 0.0
+    assert np.all(np.isfinite(frame.grey))
+    assert np.all(np.isfinite(frame.range) | (frame.object_id == SKY))
+    row, column = model.size_px[1] // 2, model.size_px[0] // 2
+    pairs = [(frame.range[row], frame.range[row + 1])]
+    pairs.append((frame.range[:, column], frame.range[:, column + 1]))
+    for a, b in pairs:  # all but outlines
+        assert np.isclose(a, b, rtol=0.05).mean() > 0.85
+
+
+def test_rays_along_an_axis_meet_a_box_along_the_axes(world, team, hovering, see):
+    crate = Obstacle(name="crate", shape=Box(size_m=(1.0, 1.0, 1.0)), center_m=(2.0, 0.0, 2.0))
+    alone = replace(world, obstacles=(crate,))
+    scene = build_scene(team, alone)
+    scene.pose(hovering(p_WL=(-3.5, 0.0, 1.0), world=alone))
+    frame = see(scene, ODD["pinhole"], [0.0, 0.1, 1.9], np.round(FORWARD))
+    assert set(frame.object_id[33, 31:60].tolist()) == {6}
+    assert set(frame.object_id[20:48, 45].tolist()) == {6}
+    assert frame.range[33, 45] == 1.5

@@ -123,11 +123,15 @@ class EventPixels(Params):
             width: Pixels a row.
             t_us: Its time [us].
             rng: Draws what differs from pixel to pixel, and the key of the noise.
+
+        Limits: A pixel whose light is no finite number sees darkness, here, and then what it saw
+            before.
         """
         size = view.light.shape[0]
         if width < 1 or size % width:
             raise GeometryError(f"{size} pixels do not fill rows of {width}: give whole rows.")
         traits, law = self._traits(rng, size), self._law(rng)
+        view = _finite(view, np.zeros(size, np.float32))
         u = self._log_light(view)
         state = PixelState(
             low_pass=u.copy(),
@@ -149,6 +153,9 @@ class EventPixels(Params):
             memory: The pixels at the rendering before; taken over and changed in place.
             view: What they see now; its arrays are kept, so do not write to them again.
             t_us: Now [us], after the rendering before.
+
+        Limits: A pixel whose light is no finite number sees what it saw before: the low-pass would
+            never forget it.
         """
         if view.light.shape != memory.pixels.state.reference.shape or t_us <= memory.t_us:
             raise GeometryError(
@@ -156,6 +163,7 @@ class EventPixels(Params):
                 f"{memory.pixels.state.reference.shape[0]} at {memory.t_us} us: "
                 "give views of one size, in order of time."
             )
+        view = _finite(view, memory.view.light)
         u = self._log_light(view)
         change = self._change(memory.log_light, u, view.light, t_us - memory.t_us)
         fired = advance(memory.pixels, memory.view, view, change, memory.t_us, t_us)
@@ -190,6 +198,12 @@ class EventPixels(Params):
             shot=self.shot_hz / US_PER_S,
             shot_bright=self.shot_bright_share,
         )
+
+
+def _finite(view: View, otherwise: Floats) -> View:
+    """The view with other light for pixels whose light is no finite number."""
+    good = np.isfinite(view.light)
+    return view if good.all() else view._replace(light=np.where(good, view.light, otherwise))
 
 
 def _in_order(fired: Fired, width: int) -> tuple[EventReading, EventLabels]:

@@ -14,6 +14,12 @@ from skyhaul.types import Array
 
 
 @njit_ieee
+def _not_0(d: float) -> float:
+    """The component of a ray; 1e-300 for one along a slab, which meets its faces far off."""
+    return d if d != 0.0 else 1e-300
+
+
+@njit_ieee
 def meet_room(hall: Hall, p: Array, rays: Bundle, n: int) -> None:
     """Where rays leave the room; a camera outside looks through the near walls."""
     l0, l1, l2 = hall.low[0] - p[0], hall.low[1] - p[1], hall.low[2] - p[2]
@@ -22,9 +28,10 @@ def meet_room(hall: Hall, p: Array, rays: Bundle, n: int) -> None:
     ray, far, hit = rays.ray, rays.range, rays.hit
     for i in range(n):
         d0, d1, d2 = ray[0, i], ray[1, i], ray[2, i]
-        t0 = (h0 if d0 > 0.0 else l0) / d0
-        t1 = (h1 if d1 > 0.0 else l1) / d1
-        t2 = (h2 if d2 > 0.0 else l2) / d2
+        # a ray along a slab never leaves it
+        t0 = (h0 if d0 > 0.0 else l0) / d0 if d0 != 0.0 else np.inf
+        t1 = (h1 if d1 > 0.0 else l1) / d1 if d1 != 0.0 else np.inf
+        t2 = (h2 if d2 > 0.0 else l2) / d2 if d2 != 0.0 else np.inf
         leave = min(t0, min(t1, t2))
         far[i] = leave
         face = 4 + (d2 > 0.0)
@@ -34,7 +41,7 @@ def meet_room(hall: Hall, p: Array, rays: Bundle, n: int) -> None:
     if inside:
         return
     for i in range(n):
-        d0, d1, d2 = ray[0, i], ray[1, i], ray[2, i]
+        d0, d1, d2 = _not_0(ray[0, i]), _not_0(ray[1, i]), _not_0(ray[2, i])
         enter = max((l0 if d0 > 0.0 else h0) / d0, (l1 if d1 > 0.0 else h1) / d1)
         enter = max(enter, (l2 if d2 > 0.0 else h2) / d2)
         if enter > far[i] or far[i] <= 0.0:
@@ -72,13 +79,13 @@ def meet_box(parts: Parts, k: int, p: Array, rays: Bundle, n: int) -> None:
     for i in range(n):
         d0, d1, d2 = ray[0, i], ray[1, i], ray[2, i]
         # slabs: with m = 1 / d, the ray is inside for t in -m q -+ |m| s
-        m = 1.0 / (R00 * d0 + R10 * d1 + R20 * d2)
+        m = 1.0 / _not_0(R00 * d0 + R10 * d1 + R20 * d2)
         o, w = -m * q0, abs(m) * s0
         near, end = o - w, o + w
-        m = 1.0 / (R01 * d0 + R11 * d1 + R21 * d2)
+        m = 1.0 / _not_0(R01 * d0 + R11 * d1 + R21 * d2)
         o, w = -m * q1, abs(m) * s1
         near, end = max(near, o - w), min(end, o + w)
-        m = 1.0 / (R02 * d0 + R12 * d1 + R22 * d2)
+        m = 1.0 / _not_0(R02 * d0 + R12 * d1 + R22 * d2)
         o, w = -m * q2, abs(m) * s2
         near, end = max(near, o - w), min(end, o + w)
         if 0.0 < near <= end and near < far[i]:
