@@ -6,6 +6,10 @@ the two cubes alone, in which nothing is left that a seed could change. The wait
 aside: what a flight takes after the load first came within 1.5 m of the goal counts only as far as
 the flight without movers takes it too. The wait for a free lift-off column does count.
 
+A mover that stands on the goal holds the team up further out as well. So a second reading of the
+wait at the goal stands beside the first: from when the load would have been near the goal, flown
+like the flight without movers from its own lift-off on, until the goal is taken no longer.
+
 Seeds 0-9 are those of development; `--held-out` flies 1000-1009, which development never sees.
 """
 
@@ -16,6 +20,12 @@ from fly import Flown, Job, fly_all
 from result_file import Result, Row, arguments, least, most, publish, spread, successes
 
 from skyhaul.evaluation.series import Run
+from skyhaul.geometry.shapes import pose_shapes
+from skyhaul.geometry.team_clearance import team_clearances
+from skyhaul.mission.config import RunConfig
+from skyhaul.mission.hindrance import BESIDE_M
+from skyhaul.model.envelope import team_shape
+from skyhaul.world.load import load_config
 from skyhaul.world.scenario import GoTo
 
 SEEDS, HELD_OUT = range(10), range(1000, 1010)
@@ -33,6 +43,7 @@ KEYS = (
         "whole_path_ratio",
         "wait_at_goal_s",
     ),
+    *("goal_free_s", "wait_for_goal_s", "time_ratio_goal_free"),
     *("collisions", "min_clearance_m", "min_tension_n", "slack_time_s", "max_thrust_ratio"),
     *("tracking_rmse_m", "tracking_max_m", "payload_swing_rms_deg"),
     *("nmpc_solves", "nmpc_failures", "nmpc_solve_ms_p50", "nmpc_solve_ms_p99", "replans"),
@@ -57,6 +68,27 @@ def arrival(run: Run) -> dict[str, Any]:
     }
 
 
+def goal_free(run: Run) -> dict[str, Any]:
+    """When the goal was taken no longer before the load came near it; 0 if it never was.
+
+    It is taken while a mover is within 0.3 m (`BESIDE_M`) of the team's shape at the goal, the
+    planner's margin included: what keeps a plan from ending there.
+    """
+    config, world = load_config(RunConfig, run.scenario.name), run.scenario.world
+    team, s = team_shape(config.team, config.planning.margin_m), run.series
+    assert isinstance(run.scenario.task, GoTo)
+    goal = np.array(run.scenario.task.goal_m)
+    shapes = [world.obstacles[j].shape for j in run.layout.movers]
+    near_s, free_s = arrival(run)["near_goal_s"], 0.0
+    for k in range(0, len(run.t_s) if shapes and near_s is not None else 0, 5):
+        posed = pose_shapes(shapes, s["obstacle_p"][k])
+        size = (team.radius_m, team.above_m, team.below_m)
+        gaps = team_clearances(size, goal, posed.kind, posed.size, posed.p_WO, posed.R_WO)
+        if run.t_s[k] <= near_s and (gaps[s["obstacle_present"][k] > 0.0] < BESIDE_M).any():
+            free_s = float(run.t_s[k])
+    return {"goal_free_s": free_s}
+
+
 def compare(flown: dict[str, Any], still: dict[str, Any]) -> dict[str, Any]:
     """Time and path of a flight in shares of those without movers."""
     needed = (flown.get("near_goal_s"), still.get("near_goal_s"))
@@ -64,12 +96,17 @@ def compare(flown: dict[str, Any], still: dict[str, Any]) -> dict[str, Any]:
         return {}
     time_s, path_m = flown["mission_time_s"], flown["payload_path_m"]
     still_s, still_m = still["mission_time_s"], still["payload_path_m"]
+    unhindered_s = flown["lift_off_s"] + still["near_goal_s"] - still["lift_off_s"]
+    wait_s = min(flown["goal_free_s"], flown["near_goal_s"]) - unhindered_s
+    wait_s = max(0.0, wait_s) if flown["goal_free_s"] > 0.0 else 0.0
     rest_s = min(time_s - flown["near_goal_s"], still_s - still["near_goal_s"])
     rest_m = min(path_m - flown["near_goal_m"], still_m - still["near_goal_m"])
     return {
         "wait_at_goal_s": time_s - flown["near_goal_s"] - rest_s,
         "time_ratio": (flown["near_goal_s"] + rest_s) / still_s,
         "whole_time_ratio": time_s / still_s,
+        "wait_for_goal_s": wait_s,
+        "time_ratio_goal_free": (flown["near_goal_s"] - wait_s + rest_s) / still_s,
         "path_ratio_still": (flown["near_goal_m"] + rest_m) / still_m,
         "whole_path_ratio": path_m / still_m,
         "from_lift_off_ratio": (flown["near_goal_s"] + rest_s - flown["lift_off_s"])
@@ -96,7 +133,14 @@ def rows(flights: list[Flown], name: str) -> list[Row]:
             spread(flights, "time_ratio"), "", f"<= {TIME_BAR}",
         ),
         Row(
-            f"{name}: the same, from lift-off on, median (range)",
+            f"{name}: the same, also aside what a taken goal held it up further out, worst",
+            most(flights, "time_ratio_goal_free"), "", f"<= {TIME_BAR}",
+        ),
+        Row(
+            f"{name}: ... median (range)", spread(flights, "time_ratio_goal_free")
+        ),
+        Row(
+            f"{name}: the same as the first, from lift-off on, median (range)",
             spread(flights, "from_lift_off_ratio"),
         ),
         Row(
@@ -122,8 +166,8 @@ def main() -> None:
     args = arguments(__doc__, ("--held-out", "seeds that development never sees"))
     seeds = HELD_OUT if args.held_out else SEEDS
     seeds = seeds[:1] if args.quick else seeds
-    jobs = [Job("paper", seed, case="paper", measures=(arrival,)) for seed in seeds]
-    still_job = Job("paper", 0, case=STILL, movers=False, measures=(arrival,))
+    jobs = [Job("paper", seed, case="paper", measures=(arrival, goal_free)) for seed in seeds]
+    still_job = Job("paper", 0, case=STILL, movers=False, measures=(arrival, goal_free))
     *flights, still = fly_all([*jobs, still_job], args.workers)
     for flown in flights:
         flown.metrics.update(compare(flown.metrics, still.metrics))
@@ -139,6 +183,9 @@ def main() -> None:
             "near_goal_radius_m": NEAR_M,
             "wait_at_the_goal": "time (path) after the load first came within that radius, beyond "
             "what the flight without movers takes from there",
+            "wait_for_a_taken_goal": "from the time at which the load would have been near the "
+            "goal, flown like the flight without movers from its own lift-off on, until no mover "
+            "is within 0.3 m of the team's shape at the goal",
         },
     )
     publish(result, write=not args.quick)
