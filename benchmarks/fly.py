@@ -132,13 +132,13 @@ def _fly(job: Job) -> Metrics | dict[str, Any]:
         folder = Path(root) / "run"
         fly(config, job.seed, RunRecorder(folder, config, job.seed))
         run = load_run(folder)
-    metrics: dict[str, Any] = dict(run_metrics(run, EnergyModel()))
+        metrics: dict[str, Any] = dict(run_metrics(run, EnergyModel()))
+        for measure in job.measures:
+            metrics |= measure(run)
     stages = [v for k, v in metrics.items() if k.startswith("compute_cpu_s_") and v is not None]
     solves, nmpc_s = metrics["nmpc_solves"], metrics.get("compute_cpu_s_nmpc")
     metrics |= {"program_faults": 0, "compute_cpu_s": sum(stages)}
     metrics["nmpc_cpu_ms_mean"] = 1e3 * nmpc_s / solves if solves and nmpc_s else None
-    for measure in job.measures:
-        metrics |= measure(run)
     return metrics
 
 
