@@ -8,10 +8,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
-NO_BENCHMARK := $(addprefix benchmarks/,readme_table.py fly.py result_file.py provenance.py timing.py calibration.py \
-	load_loop.py image_report.py recorded_truth.py sensor_pictures.py simulated_tracks.py team_recordings.py team_odometry.py \
-	picture_of_team.py)
-BENCHMARKS := $(filter-out $(NO_BENCHMARK),$(sort $(wildcard benchmarks/*.py)))
+# what runs by itself and is neither a picture nor the table of the results
+BENCHMARKS := $(sort $(filter-out %readme_table.py %_pictures.py %picture_of_team.py %mover_picture.py, \
+	$(shell grep -l __main__ benchmarks/*.py)))
 
 .PHONY: help setup run test test-all check format bench lock clean
 .DEFAULT_GOAL := help

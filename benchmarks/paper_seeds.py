@@ -24,7 +24,7 @@ from skyhaul.geometry.shapes import pose_shapes
 from skyhaul.geometry.team_clearance import team_clearances
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.hindrance import BESIDE_M
-from skyhaul.model.envelope import team_shape
+from skyhaul.model.envelope import TeamShape, team_shape
 from skyhaul.world.load import load_config
 from skyhaul.world.scenario import GoTo
 
@@ -69,24 +69,28 @@ def arrival(run: Run) -> dict[str, Any]:
 
 
 def goal_free(run: Run) -> dict[str, Any]:
-    """When the goal was taken no longer before the load came near it; 0 if it never was.
+    """When the goal was taken no longer before the load came near it; 0 if it never was."""
+    config = load_config(RunConfig, run.scenario.name)
+    shape, near_s = team_shape(config.team, config.planning.margin_m), arrival(run)["near_goal_s"]
+    return {"goal_free_s": 0.0 if near_s is None else taken_until_s(run, shape, near_s)}
+
+
+def taken_until_s(run: Run, shape: TeamShape, before_s: float) -> float:
+    """Last time up to `before_s` at which a mover takes the goal [s]; 0 if none does.
 
     It is taken while a mover is within 0.3 m (`BESIDE_M`) of the team's shape at the goal, the
     planner's margin included: what keeps a plan from ending there.
     """
-    config, world = load_config(RunConfig, run.scenario.name), run.scenario.world
-    team, s = team_shape(config.team, config.planning.margin_m), run.series
-    assert isinstance(run.scenario.task, GoTo)
-    goal = np.array(run.scenario.task.goal_m)
+    world, s, task = run.scenario.world, run.series, run.scenario.task
+    assert isinstance(task, GoTo)
+    goal, size = np.array(task.goal_m), (shape.radius_m, shape.above_m, shape.below_m)
     shapes = [world.obstacles[j].shape for j in run.layout.movers]
-    near_s, free_s = arrival(run)["near_goal_s"], 0.0
-    for k in range(0, len(run.t_s) if shapes and near_s is not None else 0, 5):
-        posed = pose_shapes(shapes, s["obstacle_p"][k])
-        size = (team.radius_m, team.above_m, team.below_m)
-        gaps = team_clearances(size, goal, posed.kind, posed.size, posed.p_WO, posed.R_WO)
-        if run.t_s[k] <= near_s and (gaps[s["obstacle_present"][k] > 0.0] < BESIDE_M).any():
-            free_s = float(run.t_s[k])
-    return {"goal_free_s": free_s}
+    for k in range(int(np.searchsorted(run.t_s, before_s, "right")) - 1, -1, -1):
+        at = pose_shapes(shapes, s["obstacle_p"][k])
+        gaps = team_clearances(size, goal, at.kind, at.size, at.p_WO, at.R_WO)
+        if (gaps[s["obstacle_present"][k] > 0.0] < BESIDE_M).any():
+            return float(run.t_s[k])
+    return 0.0
 
 
 def compare(flown: dict[str, Any], still: dict[str, Any]) -> dict[str, Any]:

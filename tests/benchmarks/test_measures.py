@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from circle_tracking import at_speed, laps_at_speed
-from fly import Flown, Job, chosen, without_movers
+from fly import Flown, Job, chosen, fly_one, without_movers
 from lost_vehicle import aftermath
-from paper_seeds import NEAR_M, arrival, compare
+from paper_seeds import NEAR_M, arrival, compare, taken_until_s
 from result_file import median, numbers, spread, successes
 from thrust_prediction import thrust_error
 
@@ -16,16 +16,19 @@ from skyhaul.evaluation.columns import Layout
 from skyhaul.evaluation.events import ContactEvent, Events
 from skyhaul.evaluation.folder import Origin
 from skyhaul.evaluation.series import Run
+from skyhaul.geometry.shapes import Sphere
 from skyhaul.mission.config import RunConfig
+from skyhaul.model.envelope import TeamShape
 from skyhaul.world.load import load_config
-from skyhaul.world.scenario import CircleTask, GoTo, Scenario
+from skyhaul.world.obstacles import Obstacle
+from skyhaul.world.scenario import CircleTask, GoTo, Scenario, World
 
 N = 4
 
 
-def run_of(scenario: Scenario, rows: int) -> Run:
+def run_of(scenario: Scenario, rows: int, movers: tuple[int, ...] = ()) -> Run:
     """A run at rest: everything zero, level, alive, attached and airborne."""
-    layout = Layout(N, ())
+    layout = Layout(N, movers)
     series = {key: np.zeros((rows, *block.shape)) for key, block in layout.blocks.items()}
     series["t"] = 10_000.0 * np.arange(rows)
     series["load"][:, 3] = series["ref"][:, 3] = 1.0
@@ -101,7 +104,7 @@ def flown(run: Run) -> dict[str, object]:
     p = run.series["load"][run.airborne, 0:3]
     path_m = float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
     times = {"mission_time_s": float(run.t_s[-1]), "payload_path_m": path_m}
-    return {"mission_success": True, **times, **arrival(run)}
+    return {"mission_success": True, **times, **arrival(run), "goal_free_s": 0.0}
 
 
 def test_arrival_is_the_first_time_near_the_goal() -> None:
@@ -129,6 +132,45 @@ def test_a_wait_on_the_way_counts() -> None:
     assert found["time_ratio"] == pytest.approx(1.5)
     assert found["from_lift_off_ratio"] == pytest.approx(1.0)
     assert found["wait_at_goal_s"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_goal_that_is_taken_is_waited_for_from_when_the_load_would_be_there() -> None:
+    still, late = flown(straight_run(0.0)), flown(straight_run(0.0))
+    for key in ("near_goal_s", "mission_time_s"):
+        late[key] = float(str(late[key])) + 6.0
+    found = compare(late | {"goal_free_s": 15.0}, still)
+    assert found["time_ratio"] == pytest.approx(1.5)
+    assert found["wait_for_goal_s"] == pytest.approx(15.0 - 2.0 - 10.0 + NEAR_M, abs=0.02)
+    assert found["time_ratio_goal_free"] == pytest.approx(
+        (18.0 - float(found["wait_for_goal_s"])) / 12.0
+    )
+    assert compare(late, still)["wait_for_goal_s"] == 0.0
+
+
+def test_a_goal_is_taken_while_a_mover_is_beside_the_team_there() -> None:
+    world = World(
+        obstacles=(Obstacle(name="ball", shape=Sphere(radius_m=0.2), center_m=(10.0, 0.0, 1.0)),)
+    )
+    run = run_of(Scenario(task=GoTo(goal_m=(10.0, 0.0, 1.0)), world=world), 1001, movers=(0,))
+    shape = TeamShape(radius_m=0.7, above_m=1.0, below_m=0.2)
+    run.series["obstacle_present"][:] = 1.0
+    run.series["obstacle_p"][:, 0] = np.array([10.0, 0.0, 1.0])
+    run.series["obstacle_p"][:, 0, 1] = run.t_s  # leaves at 1 m/s
+    assert taken_until_s(run, shape, 10.0) == pytest.approx(0.7 + 0.2 + 0.3, abs=0.02)
+    assert taken_until_s(run, shape, 0.5) == pytest.approx(0.5, abs=0.02)
+    run.series["obstacle_present"][:] = 0.0
+    assert taken_until_s(run, shape, 10.0) == 0.0
+
+
+def test_a_flight_for_a_benchmark_has_its_metrics_and_measures() -> None:
+    flight = fly_one(Job("hover", overrides=("task.duration_s=1",), measures=(_rows,)))
+    assert flight.success
+    assert flight.metrics["program_faults"] == 0
+    assert flight.metrics["rows"] > 100
+
+
+def _rows(run: Run) -> dict[str, object]:
+    return {"rows": len(run.t_s)}
 
 
 def test_a_failed_flight_is_compared_with_nothing() -> None:
