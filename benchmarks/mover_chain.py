@@ -34,7 +34,9 @@ class LabelClassifier:
         """Events so far."""
         return 0
 
-    def step(self, memory: int, events: EventReading, turn_C: Array) -> tuple[int, EventScores]:
+    def step(
+        self, memory: int, events: EventReading, turn_C: Array, v_WC_C: Array | None = None
+    ) -> tuple[int, EventScores]:
         """See `EventClassifier.step`."""
         at = np.searchsorted(self.key, keys_of(events, self.size_px))
         p = self.moves[np.minimum(at, len(self.key) - 1)].astype(np.float32)

@@ -14,7 +14,6 @@ Each flight's figures are kept in the folder; what is there already is not done 
 import argparse
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from mover_truth import seen
 from provenance import provenance, write_report
 
 from skyhaul.perception.events.classifier import NetworkParams
+from skyhaul.perception.events.timestamp import TimestampParams
 from skyhaul.perception.obstacles.from_events import EventObstacles
 from skyhaul.perception.obstacles.particles import ParticleFilter
 from skyhaul.perception.obstacles.tracker import BearingTracker
@@ -40,10 +40,11 @@ def params_of(args: argparse.Namespace) -> EventObstacles:
     tracker = (
         BearingTracker(filter=ParticleFilter()) if args.filter == "particles" else BearingTracker()
     )
-    params = EventObstacles(tracker=tracker)
-    if args.classifier == "network":
-        params = replace(params, classifier=NetworkParams(weights=str(args.weights)))
-    return params
+    weights = str(args.weights) if args.weights else None
+    classifier = (
+        TimestampParams() if args.classifier == "timestamp" else NetworkParams(weights=weights)
+    )
+    return EventObstacles(tracker=tracker, classifier=classifier)
 
 
 def one_flight(args: argparse.Namespace, scenario: str, seed: int) -> dict[str, Any]:
@@ -139,7 +140,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--classifier", default="labels", choices=("labels", "timestamp", "network")
     )
-    parser.add_argument("--weights", type=Path, help="of the network")
+    parser.add_argument("--weights", type=Path, help="of the network, instead of those that ship")
     parser.add_argument("--filter", default="kalman", choices=("kalman", "particles"))
     parser.add_argument("--folder", type=Path, default=Path("benchmarks/streams"))
     parser.add_argument("--name", help="of the result; default: no result is written")

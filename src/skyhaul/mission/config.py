@@ -15,6 +15,7 @@ from skyhaul.perception.obstacles.from_events import EventObstacles
 from skyhaul.perception.obstacles.truth import TruthObstacles
 from skyhaul.perception.team.fused import FusedTeam
 from skyhaul.perception.team.truth import TruthTeam
+from skyhaul.perception.vio.vehicle import VehicleVio
 from skyhaul.planning.config import PlanningConfig
 from skyhaul.sensors.config import SensorsConfig
 from skyhaul.world.scenario import Scenario
@@ -26,8 +27,9 @@ class PerceptionConfig(Params):
 
     team: TruthTeam | FusedTeam = field(default_factory=TruthTeam)
     """Where the team is."""
-    odometry: ModelledOdometry = field(default_factory=ModelledOdometry)
-    """Own odometry of every vehicle; `kind: fused` reads it."""
+    odometry: ModelledOdometry | VehicleVio = field(default_factory=ModelledOdometry)
+    """Own odometry of every vehicle, which `team.kind: fused` reads: `modelled`, or `ekf` or
+    `smoother` on its own cameras and IMU."""
     obstacles: TruthObstacles | EventObstacles = field(default_factory=TruthObstacles)
     """Where the obstacles are; `events` runs over recorded events, not in a flight."""
 

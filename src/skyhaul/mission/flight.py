@@ -118,7 +118,7 @@ class Flight:
         self._judge, self._judged = Judge(config), Judge(config).init()
         self._shapes = tuple(o.shape for o in config.world.obstacles)
         self._seen = config.sensors.objects.init(len(self._shapes))
-        self._team = team_sensing(config, seed, self._truth)
+        self._team = team_sensing(config, seed, self._truth, self._watch)
         self._obstacles = _on_truth(config)
         self._obstacle_memory = self._obstacles.init()
 

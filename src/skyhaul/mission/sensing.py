@@ -5,6 +5,8 @@ from dataclasses import replace
 from typing import Protocol
 
 from skyhaul.mission.config import RunConfig
+from skyhaul.mission.odometers import odometers
+from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.perception.api import TeamEstimate
 from skyhaul.perception.team.api import SurveyedTeam, TagSight, TeamReports, VehicleReport
 from skyhaul.perception.team.fused import FusedTeam
@@ -35,22 +37,28 @@ class PerfectSensing:
 
 
 class FusedSensing:
-    """IMUs, down cameras and modelled odometry; hooks and rotors tell what they do exactly."""
+    """IMUs, cameras and every vehicle's odometry; hooks and rotors tell what they do exactly.
 
-    def __init__(self, config: RunConfig, kind: FusedTeam, seed: int, truth: Truth) -> None:
+    Modelled odometry needs the down cameras only; then the others are not rendered.
+    """
+
+    def __init__(
+        self, config: RunConfig, kind: FusedTeam, seed: int, truth: Truth, watch: Stopwatch
+    ) -> None:
         sensors, team = config.sensors, config.team
         tag, n = sensors.tag(team), config.team.count
         assert tag is not None, "checked with the configuration"
-        down = tuple(c for c in sensors.rig.cameras if c.name == "down")
-        seeing = replace(sensors, rig=replace(sensors.rig, cameras=down, event_camera=None))
+        modelled = config.perception.odometry.kind == "modelled"
+        looks = tuple(c for c in sensors.rig.cameras if c.name == "down" or not modelled)
+        seeing = replace(sensors, rig=replace(sensors.rig, cameras=looks, event_camera=None))
+        self._down = [c.name for c in looks].index("down")
+        self._watch = watch
         self._read = sensors.team
         self._suite = seeing.team_suite(team, config.world)
         self._sensors = self._suite.init(seed)
         self._finder = tag_finder(tag)
         self._last: list[TagSight | None] = [None] * n
-        self._imu = sensors.imu.calibration()
-        self._model = config.perception.odometry
-        self._odometry = [self._model.init(seed, i, n) for i in range(n)]
+        self._odometers = odometers(replace(config, sensors=seeing), seed, truth)
         t = truth.team
         start = SurveyedTeam(t.p_WL.copy(), t.q_WL.copy(), t.p_WB.copy(), t.q_WB.copy())
         load_imu = sensors.payload_imu.calibration()
@@ -59,15 +67,16 @@ class FusedSensing:
 
     def estimate(self, truth: Truth) -> TeamEstimate:
         """See `TeamSensing.estimate`."""
-        self._sensors, payload, readings = self._suite.step(self._sensors, truth)
-        bias, known, vehicles = self._sensors.imus.bias, self._read.read(truth), []
-        for i, reading in enumerate(readings):
-            self._odometry[i], vio = self._model.step(
-                self._odometry[i], truth, self._imu, bias[1 + i]
-            )
+        with self._watch.stage("sensors"):
+            self._sensors, payload, readings = self._suite.step(self._sensors, truth)
+        with self._watch.stage("odometry"):
+            vios = self._odometers.step(truth, readings, self._sensors.imus.bias[1:])
+        known, vehicles = self._read.read(truth), []
+        for i, (reading, vio) in enumerate(zip(readings, vios, strict=True)):
             tag = None
             for frame in reading.frames:
-                tag = self._last[i] = self._finder.find(frame, self._last[i])
+                if frame.camera == self._down:
+                    tag = self._last[i] = self._finder.find(frame, self._last[i])
             thrust, attached = float(known.thrust[i]), bool(known.attached[i])
             vehicles.append(VehicleReport(reading.imu, vio, tag, thrust, attached))
         reports = TeamReports(truth.stamp_us, tuple(vehicles), payload.imu)
@@ -75,10 +84,10 @@ class FusedSensing:
         return estimate
 
 
-def team_sensing(config: RunConfig, seed: int, truth: Truth) -> TeamSensing:
+def team_sensing(config: RunConfig, seed: int, truth: Truth, watch: Stopwatch) -> TeamSensing:
     """What the configuration asks for."""
     match config.perception.team:
         case FusedTeam() as kind:
-            return FusedSensing(config, kind, seed, truth)
+            return FusedSensing(config, kind, seed, truth, watch)
         case TruthTeam() as exact:
             return PerfectSensing(config, exact)

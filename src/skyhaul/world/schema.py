@@ -123,7 +123,7 @@ def _check_object(classes: list[Any], tree: object, path: str) -> None:
 
 
 def _class_of_kind(classes: list[Any], tree: Tree, path: str) -> Any:  # noqa: ANN401
-    kinds = {_kind_of(c): c for c in classes}
+    kinds = {kind: c for c in classes for kind in _kinds_of(c)}
     allowed = ", ".join(sorted(kinds))
     if "kind" not in tree:
         raise ConfigError(f"{_prefix(path)}the key 'kind' is missing; allowed: {allowed}")
@@ -200,8 +200,8 @@ def _strip(kind: object) -> object:
     return kind
 
 
-def _kind_of(cls: Any) -> str:  # noqa: ANN401
-    return str(get_args(get_type_hints(cls)["kind"])[0])
+def _kinds_of(cls: Any) -> tuple[str, ...]:  # noqa: ANN401
+    return get_args(get_type_hints(cls)["kind"])
 
 
 def _is_required(f: "dataclasses.Field[Any]") -> bool:

@@ -176,6 +176,19 @@ def test_a_released_vehicle_is_left_alone(flight):
     assert np.linalg.norm(estimates[-1].team.p_WL - made.p_WL[1000]) < 0.08
 
 
+def test_before_their_first_odometry_vehicles_move_by_their_imus(flight, exact):
+    made = flight(1, 1.0, exact)
+    late = [
+        reading
+        if k > 150
+        else replace(reading, vehicles=tuple(replace(v, vio=None) for v in reading.vehicles))
+        for k, reading in enumerate(made.reports)
+    ]
+    estimates, _, _ = follow(made, late)
+    assert np.linalg.norm(made.p_WB[150] - made.p_WB[0], axis=1).min() > 0.02
+    np.testing.assert_allclose(estimates[150].team.p_WB, made.p_WB[150], atol=3e-3)
+
+
 def test_a_silent_vehicle_is_borne(flight):
     made = flight(6, 2.0)
     reports = [

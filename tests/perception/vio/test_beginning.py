@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from skyhaul.errors import SensorDataError
+from skyhaul.geometry.quaternion import quat_exp, quat_rotate, quat_to_R
 from skyhaul.perception.vio.api import BG, CameraRig, P, StartPose, TrackFrame, V
 from skyhaul.perception.vio.beginning import Beginning, begin
 from skyhaul.perception.vio.imu import ImuNoise
@@ -53,6 +54,19 @@ def test_what_comes_after_it_moves_the_state_and_its_covariance():
     # A speed that is known to 5 cm/s makes the place less certain within 50 ms.
     assert np.trace(covariance[P, P]) > 3.0 * np.trace(P_before[P, P])
     assert np.trace(covariance[V, V]) > np.trace(P_before[V, V])
+
+
+def test_a_surveyed_attitude_begins_in_motion():
+    """At rest at time 0, then 2 m/s^2 along its own z axis, which leans by 0.3 rad."""
+    q_WI = quat_exp(np.array([0.3, 0.0, 0.0]))
+    start = StartPose(np.array([1.0, 2.0, 3.0]), q_WI=q_WI)
+    state, covariance = first(intake(100_000, lift_us=0, bias=np.zeros(3)), start)
+    a = quat_rotate(q_WI, np.array([0.0, 0.0, 9.80665 + 2.0])) - [0.0, 0.0, 9.80665]
+    np.testing.assert_allclose(state.v_WI, 0.1 * a, atol=5e-3)
+    np.testing.assert_allclose(state.p_WI, start.p_WI + 0.005 * a, atol=5e-4)
+    np.testing.assert_allclose(quat_to_R(state.q_WI), quat_to_R(q_WI), atol=1e-3)
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+    assert first(intake(0), start) is None  # no samples yet
 
 
 def test_an_imu_whose_samples_are_nonsense_is_refused():

@@ -63,7 +63,7 @@ class EventObstacles(Params):
     """Which classifier, how its events become directions, and how tracks live."""
 
     kind: Literal["events"] = "events"
-    classifier: TimestampParams | NetworkParams = field(default_factory=TimestampParams)
+    classifier: NetworkParams | TimestampParams = field(default_factory=NetworkParams)
     """What tells movers' events."""
     sight: SightRules = field(default_factory=SightRules)
     """From movers' events to directions."""

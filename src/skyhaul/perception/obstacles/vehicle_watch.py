@@ -124,14 +124,17 @@ class VehicleWatch:
         noise, why = self.rules.noise.step(memory.noise, sight.events)
         keep = why == KEPT
         kept, turn_kept = chosen(sight.events, keep), turns[:-1][keep]
-        classifier, scores = self.classifier.step(memory.classifier, kept, turn_kept)
-        p_WC = team.p_WB[self.vehicle] + R_WB @ event_camera.p_BC
+        arm_W = R_WB @ event_camera.p_BC
+        p_WC = team.p_WB[self.vehicle] + arm_W
+        v_WC = team.v_WB[self.vehicle] + np.cross(R_WB @ team.w_WB_B[self.vehicle], arm_W)
+        v_C = np.broadcast_to(R_WC.T @ v_WC, (len(kept.t_us), 3))
+        classifier, scores = self.classifier.step(memory.classifier, kept, turn_kept, v_C)
         seen = scores.mover & ~self._blind(kept, team, attached, p_WC, R_WC, sight)
         movers, turn_C = self._window(memory, chosen(kept, seen), turn_kept[seen], stamp_us)
         clusters = self.rules.clusters.find(
             self.lens, self._turned(movers, turn_C, turns[-1]), stamp_us
         )
-        pose = CameraPose(p_WC, team.v_WB[self.vehicle], R_WC, sight.pose_covariance)
+        pose = CameraPose(p_WC, v_WC, R_WC, sight.pose_covariance)
         after = VehicleWatchMemory(turn, noise, classifier, movers, turn_C)
         return after, self._bearings(clusters, pose)
 

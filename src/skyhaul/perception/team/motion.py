@@ -147,6 +147,7 @@ def advance_vehicle(
 ) -> None:
     """Move vehicle i by one sample of its IMU, I axes, and keep the sample.
 
+    Before its first odometry it moves on from where it was surveyed, at rest and without biases.
     Also the specific force at its centre of mass, B axes, into `nav_last[6:9]`.
     """
     row = s.past[i, int(s.head[i]) % KEPT]
@@ -155,9 +156,8 @@ def advance_vehicle(
         row[1 + c], row[4 + c] = gyro[c], accel[c]
     x, last = s.nav[i], s.nav_last[i]
     w = (gyro[0] - x[10], gyro[1] - x[11], gyro[2] - x[12])
-    if s.vio[i, 3] >= 0.0:
-        f = (accel[0] - x[13], accel[1] - x[14], accel[2] - x[15])
-        integrate(x, w, f, p.dt[0], p.g)
+    f = (accel[0] - x[13], accel[1] - x[14], accel[2] - x[15])
+    integrate(x, w, f, p.dt[0], p.g)
     w_B = mat_vec(p.R_BI, w)
     s_B = mat_vec(p.R_BI, accel)
     if s.head[i] > 0.0:

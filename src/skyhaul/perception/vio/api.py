@@ -94,13 +94,17 @@ class NavState:
 
 @dataclass(frozen=True, eq=False)
 class StartPose:
-    """Where W is: the pose of the first estimate. Roll and pitch come from gravity."""
+    """Where W is: the pose of the first estimate. Roll and pitch come from gravity.
+
+    Unless the attitude was surveyed too: then the vehicle is at rest at time 0, standing or not.
+    """
 
     p_WI: Array = field(default_factory=lambda: np.zeros(3))  # (3,) [m]
     yaw_rad: float = 0.0
     sigma_m: float = 1e-3  # how well the start is surveyed
     sigma_yaw_rad: float = 1e-3
     stands_until_us: TimeUs = 0  # the vehicle is known to stand up to then; 0: not known
+    q_WI: Array | None = None  # (4,) at time 0; `yaw_rad` is not looked at then
 
 
 @dataclass(frozen=True, eq=False)

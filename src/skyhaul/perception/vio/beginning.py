@@ -5,14 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.params import Params
-from skyhaul.perception.vio.api import CameraRig, NavState, StartPose
+from skyhaul.perception.vio.api import CameraRig, NavState, R, StartPose, V
 from skyhaul.perception.vio.imu import ImuNoise, advance, segments, since
 from skyhaul.perception.vio.imu_check import check_imu
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.moving_start import MovingStart, moving_start
 from skyhaul.perception.vio.recording import part
-from skyhaul.perception.vio.standing import Standing, stands, static_start
+from skyhaul.perception.vio.standing import Standing, stands, start_covariance, static_start
 from skyhaul.types import US_PER_S, Array
 
 LEAST_SAMPLES = 20
@@ -47,6 +48,8 @@ def begin(
 ) -> tuple[NavState, Array] | None:
     """State and covariance now, or None while they cannot be known yet."""
     standing = params.standing
+    if start.q_WI is not None:
+        return _surveyed(standing, intake, start, start.q_WI, noise)
     if start.stands_until_us > 0:
         return _known_to_stand(standing, intake, start, noise)
     if not intake.checked:
@@ -81,6 +84,25 @@ def _known_to_stand(
         return state, before
     moved = segments(intake.imu, until_us, intake.now_us)
     state, Phi, Q = advance(state, moved, noise.densities())
+    return state, Phi @ before @ Phi.T + Q
+
+
+def _surveyed(
+    standing: Standing, intake: Intake, start: StartPose, q_WI: Array, noise: ImuNoise
+) -> tuple[NavState, Array] | None:
+    """From a pose at time 0, at rest, by the IMU; its biases are those of its calibration.
+
+    Raises:
+        SensorDataError: When its samples are nonsense.
+    """
+    if len(intake.imu.stamp_us) < LEAST_SAMPLES:
+        return None
+    check_imu(intake.imu)
+    state = NavState(start.p_WI, q_WI, np.zeros(3), np.zeros(3), np.zeros(3))
+    before = start_covariance(standing, start, quat_to_R(q_WI))
+    before[R, R] = start.sigma_yaw_rad**2 * np.eye(3)
+    before[V, V] = standing.speed_sigma_mps**2 * np.eye(3)
+    state, Phi, Q = advance(state, segments(intake.imu, 0, intake.now_us), noise.densities())
     return state, Phi @ before @ Phi.T + Q
 
 
