@@ -28,7 +28,7 @@ class All:
     def init(self, lens):
         return lens
 
-    def step(self, lens, events, turn_C):
+    def step(self, lens, events, turn_C, v_WC_C=None):
         newest = int(events.t_us[-1]) if len(events.t_us) else 0
         cells = np.zeros((-(-lens.height // 16), -(-lens.width // 16)), np.float32)
         return lens, EventScores(newest, np.ones(len(events.t_us), np.float32), cells, 16)

@@ -15,7 +15,7 @@ from skyhaul.sensors.config import SensorsConfig
 from skyhaul.sensors.rig import RigParams
 
 from .conftest import PERIOD_US, Swing, nearest, state_of
-from .sights import CAMERA, TEAM, sight, watch
+from .sights import CAMERA, TEAM, All, sight, watch
 
 
 def follow(estimator, movers, steps, **how):
@@ -44,6 +44,37 @@ def test_a_mover_that_two_cameras_see_is_found_within_80_ms_and_placed(yaw_rate)
     assert nearest(track, movers, 1e-6 * track.stamp_us)[1] < 0.2
     assert np.linalg.norm(track.v_WO - movers[0].velocity(0.0)) < 0.3
     assert track.shape.radius_m == pytest.approx(0.2, rel=0.25)
+
+
+class Ear(All):
+    """Keeps the velocities that it is told."""
+
+    def __init__(self):
+        self.told = []
+
+    def step(self, lens, events, turn_C, v_WC_C=None):
+        self.told.append(v_WC_C)
+        return super().step(lens, events, turn_C)
+
+
+def test_the_classifier_is_told_how_the_camera_flies():
+    """A camera off the middle of a vehicle that turns: v is the derivative of its place."""
+    estimator, ear = watch(), Ear()
+    first = replace(estimator.watches[0], classifier=ear)
+    estimator = replace(estimator, watches=(first, *estimator.watches[1:]))
+    follow(estimator, [Swing(ahead_of((0, 1), 3.5), (0.0, 0.0, 0.6))], 3, yaw_rate=1.0)
+
+    def place(t_s):
+        state = state_of(TEAM, 1.0, t_s)
+        R_WB = quat_to_R(state.q_WB[0])
+        return state.p_WB[0] + R_WB @ CAMERA.p_BC, R_WB @ CAMERA.R_BC
+
+    t, h = 2e-6 * PERIOD_US, 1e-5
+    v_WC = (place(t + h)[0] - place(t - h)[0]) / (2 * h)
+    assert np.linalg.norm(v_WC) > 0.01
+    np.testing.assert_allclose(
+        ear.told[-1], np.tile(place(t)[1].T @ v_WC, (len(ear.told[-1]), 1)), atol=1e-8
+    )
 
 
 def test_a_silent_vehicle_leaves_a_track_that_says_how_unsure_it_is():
