@@ -51,7 +51,7 @@ def events(t_us):
 
 def play(faults, count=10, seed=0, vehicle=VEHICLE, period_us=100_000):
     """Readings (with two frames, one IMU sample, two events each) and labels, before and after."""
-    script = script_of(faults, 1 + vehicle, CAMERAS, SIZE)
+    script = script_of(faults, 1 + vehicle, CAMERAS, SIZE, 0)
     memory, out = script.init(seed), []
     for k in range(count):
         t_us = period_us * k
@@ -116,8 +116,32 @@ def test_a_saturated_imu_cuts_off_and_only_then() -> None:
 
 def test_the_loads_imu_has_faults_of_its_own() -> None:
     gap = ImuGap(vehicle="payload", start_s=0.0, duration_s=1.0)
-    assert len(script_of([gap], 0, (), None).imu(0, imu(0)).stamp_us) == 0
-    assert len(script_of([gap], BODY, (), None).imu(0, imu(0)).stamp_us) == 1
+    assert len(script_of([gap], 0, (), None, 0).imu(imu(0)).stamp_us) == 0
+    assert len(script_of([gap], BODY, (), None, 0).imu(imu(0)).stamp_us) == 1
+
+
+@pytest.mark.parametrize("ahead_us", [0, 7_000])
+def test_samples_are_spoilt_by_when_they_are_measured(ahead_us) -> None:
+    """Ten samples come at once, stamped by a clock that is ahead: a gap takes those of its time."""
+    true_us = np.arange(200_000, 300_000, 10_000)
+    clean = ImuReading(true_us + ahead_us, np.full((10, 3), 5.0), np.full((10, 3), 20.0))
+    gap = ImuGap(vehicle=VEHICLE, start_s=0.25, duration_s=0.03)
+    left = script_of([gap], BODY, (), None, ahead_us).imu(clean)
+    assert (left.stamp_us - ahead_us).tolist() == [
+        200_000,
+        210_000,
+        220_000,
+        230_000,
+        240_000,
+        280_000,
+        290_000,
+    ]
+    cut = ImuSaturation(
+        vehicle=VEHICLE, start_s=0.25, duration_s=0.03, gyro_range_radps=2.0, accel_range_mps2=12.0
+    )
+    left = script_of([cut], BODY, (), None, ahead_us).imu(clean)
+    assert left.gyro_I[:, 0].tolist() == [5.0] * 5 + [2.0] * 3 + [5.0] * 2
+    assert left.accel_I[:, 2].tolist() == [20.0] * 5 + [12.0] * 3 + [20.0] * 2
 
 
 def test_a_clock_that_runs_away_shifts_stamps_by_offset_and_drift() -> None:

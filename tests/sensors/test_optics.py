@@ -50,3 +50,18 @@ def test_half_a_lens_and_two_lenses_are_refused(given):
 def test_a_field_of_view_that_no_such_lens_has_is_refused(kind, fov_deg):
     with pytest.raises(ValueError, match="fov_deg must lie in"):
         LensParams(kind=kind, fov_deg=fov_deg)
+
+
+def test_a_distortion_that_folds_the_image_over_bounds_the_field_of_view():
+    """theta (1 - 0.5 theta^2) grows up to theta = sqrt(2/3): 93.6 deg from edge to edge."""
+    with pytest.raises(ValueError, match=r"fov_deg must be below 93\.6 with this distortion"):
+        LensParams(kind="equidistant", fov_deg=94.0, distortion=(-0.5, 0.0, 0.0, 0.0))
+    LensParams(kind="equidistant", fov_deg=93.0, distortion=(-0.5, 0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match=r"fov_deg must be below 60\.0 with this distortion"):
+        LensParams(fov_deg=61.0, distortion=(-1.0, 0.0, 0.0, 0.0))  # r^2 < 1/3
+
+
+@pytest.mark.parametrize("size_px", [(1, 1), (320, 8), (5000, 240)])
+def test_images_that_are_too_small_or_too_large_are_refused(size_px):
+    with pytest.raises(ValueError, match="size_px must lie between 16 and 4096"):
+        LensParams(size_px=size_px, fov_deg=80.0)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from skyhaul.model.team import Team
+from skyhaul.plant.api import PLANT_STEP_US
 from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.sensors import config
 from skyhaul.sensors.config import SensorsConfig
@@ -99,6 +100,34 @@ def test_replay_gives_the_bytes_of_the_flight(track) -> None:
     assert bytes_of(payload) == bytes_of(out)
 
 
+def test_cameras_that_nobody_looks_at_change_no_reading_of_the_others(track) -> None:
+    front = SENSORS.rig.cameras[0]
+    rig = replace(SENSORS.rig, cameras=(front, replace(front, name="down")))
+    sensors = replace(SENSORS, rig=rig)
+    all_of_it = sensors.team_suite(Team(), World())
+    some = sensors.team_suite(Team(), World(), {"down"}, events=False)
+    memory, cut, seen, left = all_of_it.init(SEED), some.init(SEED), [], []
+    for truth in track.truths():
+        memory, _, readings = all_of_it.step(memory, truth)
+        cut, _, fewer = some.step(cut, truth)
+        seen += [
+            replace(r, events=None, frames=tuple(f for f in r.frames if f.camera == 1))
+            for r in readings
+        ]
+        left += fewer
+    assert any(r.frames for r in left)
+    assert bytes_of(left) == bytes_of(seen)
+
+
+def test_the_last_step_delivers_the_events_up_to_it(track) -> None:
+    suite = SENSORS.vehicle_suite(Team(), World(), 0)
+    memory, end_us = suite.init(SEED), int(track.t_us[-1])
+    for truth in track.truths():
+        before, memory = memory, suite.step(memory, truth, last=truth.stamp_us == end_us)[0]
+    assert before.rest.events.pixels.t_us < end_us - PLANT_STEP_US  # nothing had been due
+    assert memory.rest.events.pixels.t_us == end_us
+
+
 @pytest.mark.slow
 def test_two_worker_processes_give_the_same_bytes(track, tmp_path) -> None:
     path = tmp_path / "track.npz"
@@ -130,7 +159,7 @@ def test_faults_hit_only_whom_they_name(track) -> None:
         memory, reading, _ = suite.step(memory, truth)
         samples += reading.imu.stamp_us.tolist()
     missing = {1_000 + 2_000 * k for k in range(600)} - set(samples)
-    assert missing == {99_000 + 2_000 * k for k in range(50)}  # delivered in [0.1, 0.2) s
+    assert missing == {101_000 + 2_000 * k for k in range(50)}  # measured in [0.1, 0.2) s
     clean = replace(SENSORS, faults=())
     assert clean.vehicle_suite(Team(), World(), 0).sensors.script.faults == ()
 

@@ -79,14 +79,15 @@ class RadTan(Params):
         if not 0.0 < fov_deg < 180.0:
             raise ValueError(f"fov_deg must lie in (0, 180), got {fov_deg}")
         r2 = math.tan(math.radians(0.5 * fov_deg)) ** 2
+        reach = _radtan_reach(distortion)
+        _check_fov(fov_deg, 2.0 * math.degrees(math.atan(math.sqrt(reach))), r2 < reach)
         spread = math.sqrt(r2) * (1.0 + distortion[0] * r2 + distortion[1] * r2 * r2)
         focal_px, center_px = _centred(size_px, spread)
         return cls(size_px=size_px, focal_px=focal_px, center_px=center_px, distortion=distortion)
 
     def arrays(self) -> CameraArrays:
         """The model for the kernels."""
-        k1, k2 = self.distortion[:2]
-        return _arrays(RADTAN, self, _first_root([1.0, 3.0 * k1, 5.0 * k2], math.inf))
+        return _arrays(RADTAN, self, _radtan_reach(self.distortion))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +117,8 @@ class Equidistant(Params):
         """A camera whose middle row sees so many degrees from edge to edge; square pixels."""
         if not 0.0 < fov_deg < 360.0:
             raise ValueError(f"fov_deg must lie in (0, 360), got {fov_deg}")
-        theta = math.radians(0.5 * fov_deg)
+        theta, reach = math.radians(0.5 * fov_deg), _equidistant_reach(distortion)
+        _check_fov(fov_deg, 2.0 * math.degrees(reach), theta < reach)
         k1, k2, k3, k4 = distortion
         s = theta * theta
         spread = theta * (1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
@@ -125,10 +127,7 @@ class Equidistant(Params):
 
     def arrays(self) -> CameraArrays:
         """The model for the kernels."""
-        k = self.distortion
-        slope = [1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]]
-        reach = math.sqrt(_first_root(slope, math.pi**2))
-        return _arrays(EQUIDISTANT, self, reach)
+        return _arrays(EQUIDISTANT, self, _equidistant_reach(self.distortion))
 
 
 CameraModel = RadTan | Equidistant
@@ -347,6 +346,25 @@ def _first_root(coefficients: list[float], limit: float) -> float:
     roots = np.roots(coefficients[::-1])
     real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]
     return float(min(np.min(real, initial=limit), limit))
+
+
+def _radtan_reach(k: tuple[float, float, float, float]) -> float:
+    """r^2 at which a ray farther out has its image farther in."""
+    return _first_root([1.0, 3.0 * k[0], 5.0 * k[1]], math.inf)
+
+
+def _equidistant_reach(k: tuple[float, float, float, float]) -> float:
+    """The same for the angle of a ray from the axis [rad]."""
+    slope = [1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]]
+    return math.sqrt(_first_root(slope, math.pi**2))
+
+
+def _check_fov(fov_deg: float, most_deg: float, within: bool) -> None:
+    if not within:
+        raise ValueError(
+            f"fov_deg must be below {most_deg:.1f} with this distortion, which folds the image "
+            f"over beyond, got {fov_deg:g}"
+        )
 
 
 def _check(size_px: tuple[int, int], focal_px: tuple[float, float]) -> None:

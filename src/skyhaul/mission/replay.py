@@ -95,8 +95,10 @@ class Replay:
         config = self.config
         suite = config.sensors.vehicle_suite(config.team, config.world, vehicle)
         memory = suite.init(self.seed)
+        end_us = int(self.track.t_us[-1])
         for truth in self.track.truths():
-            memory, reading, beside = suite.step(memory, truth)
+            last = truth.stamp_us == end_us
+            memory, reading, beside = suite.step(memory, truth, last=last)
             yield reading, beside
 
     def payload_readings(self) -> Iterator[tuple[PayloadReading, SensorTruth]]:

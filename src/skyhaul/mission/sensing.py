@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the true state to the estimate of the team, by the kind of estimator."""
 
-from dataclasses import replace
 from typing import Protocol
 
 from skyhaul.mission.config import RunConfig
@@ -49,20 +48,19 @@ class FusedSensing:
         tag, n = sensors.tag(team), config.team.count
         assert tag is not None, "checked with the configuration"
         modelled = config.perception.odometry.kind == "modelled"
-        looks = tuple(c for c in sensors.rig.cameras if c.name == "down" or not modelled)
-        seeing = replace(sensors, rig=replace(sensors.rig, cameras=looks, event_camera=None))
-        self._down = [c.name for c in looks].index("down")
+        self._down = [c.name for c in sensors.rig.cameras].index("down")
         self._watch = watch
         self._read = sensors.team
-        self._suite = seeing.team_suite(team, config.world)
+        looks = {"down"} if modelled else None
+        self._suite = sensors.team_suite(team, config.world, looks, events=False)
         self._sensors = self._suite.init(seed)
         self._finder = tag_finder(tag)
         self._last: list[TagSight | None] = [None] * n
-        self._odometers = odometers(replace(config, sensors=seeing), seed, truth)
+        self._odometers = odometers(config, seed, truth)
         t = truth.team
         start = SurveyedTeam(t.p_WL.copy(), t.q_WL.copy(), t.p_WB.copy(), t.q_WB.copy())
         load_imu = sensors.payload_imu.calibration()
-        self._estimator = kind.build(team, seeing.calibration(), load_imu, tag, start)
+        self._estimator = kind.build(team, sensors.calibration(), load_imu, tag, start)
         self._memory = self._estimator.init()
 
     def estimate(self, truth: Truth) -> TeamEstimate:

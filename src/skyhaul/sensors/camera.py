@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cameras of one vehicle: when they are due, and what they deliver."""
 
+from collections.abc import Container
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -44,6 +45,7 @@ class Cameras:
     sensors: tuple[Sensor, ...]
     frames: tuple[Frame, ...]  # of each camera, overwritten by each image
     lag_us: TimeUs
+    watched: tuple[bool, ...]  # of each camera: whether somebody looks at its images
 
     def init(self, seed: int) -> CamerasMemory:
         """Turn on, before the first true state."""
@@ -55,9 +57,9 @@ class Cameras:
         return CamerasMemory(keys, tuple(m.photometry.first_exposure() for m in self.mounts))
 
     def due(self, c: int, t_us: TimeUs) -> bool:
-        """Whether camera c takes an image at a time."""
+        """Whether camera c takes an image at a time that somebody looks at."""
         since = t_us - self.lag_us
-        return since >= 0 and since % self.mounts[c].period_us == 0
+        return self.watched[c] and since >= 0 and since % self.mounts[c].period_us == 0
 
     def step(
         self, memory: CamerasMemory, truth: Truth
@@ -96,7 +98,14 @@ class Cameras:
         return image, photometry.next_exposure(exposure, mean, mount.period_us / US_PER_S)
 
 
-def cameras(rig: RigParams, scene: Scene, light: Light, vehicle: int, count: int) -> Cameras:
+def cameras(
+    rig: RigParams,
+    scene: Scene,
+    light: Light,
+    vehicle: int,
+    count: int,
+    names: Container[str] | None = None,
+) -> Cameras:
     """The cameras of one vehicle of a team.
 
     Args:
@@ -105,6 +114,7 @@ def cameras(rig: RigParams, scene: Scene, light: Light, vehicle: int, count: int
         light: How bright it is.
         vehicle: Which vehicle.
         count: Number of vehicles in the team.
+        names: Of the cameras whose images somebody looks at; None: all.
     """
     lenses = tuple(make_lens(m.model) for m in rig.cameras)
     steps = min(m.period_us for m in rig.cameras) // PLANT_STEP_US if rig.cameras else 0
@@ -118,6 +128,7 @@ def cameras(rig: RigParams, scene: Scene, light: Light, vehicle: int, count: int
         sensors=tuple(make_sensor(m.photometry, m.model) for m in rig.cameras),
         frames=tuple(blank_frame(scene.arrays, lens) for lens in lenses),
         lag_us=vehicle * steps // count * PLANT_STEP_US,
+        watched=tuple(names is None or m.name in names for m in rig.cameras),
     )
 
 

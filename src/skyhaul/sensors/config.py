@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sensors of a team."""
 
-from dataclasses import dataclass, field
+from collections.abc import Container
+from dataclasses import dataclass, field, replace
 
 from skyhaul.model.team import Team
 from skyhaul.params import Params
@@ -74,14 +75,25 @@ class SensorsConfig(Params):
 
     def payload_suite(self) -> PayloadSuite:
         """The sensors of the load."""
-        script = script_of(self.faults, PAYLOAD_BODY, (), None)
+        script = script_of(self.faults, PAYLOAD_BODY, (), None, self.payload_imu.clock_offset_us)
         return PayloadSuite(imu_bank([self.payload_imu], [PAYLOAD_BODY]), script)
 
-    def team_suite(self, team: Team, world: World) -> TeamSuite:
-        """The sensors of load and vehicles, for a flight; vehicles share one scene."""
+    def team_suite(
+        self, team: Team, world: World, images: Container[str] | None = None, *, events: bool = True
+    ) -> TeamSuite:
+        """The sensors of load and vehicles, for a flight; vehicles share one scene.
+
+        Args:
+            team: Who carries them.
+            world: What they see.
+            images: Names of the cameras that somebody looks at; the others are not rendered,
+                which changes no reading. None: all.
+            events: Whether somebody looks at the event cameras.
+        """
         n, scene = team.count, self._scene(team, world)
         imus, bodies = [self.payload_imu] + n * [self.imu], [PAYLOAD_BODY, *range(1, 1 + n)]
-        vehicles = tuple(self._vehicle(scene, world.light, i, n) for i in range(n))
+        seeing = self if events else replace(self, rig=replace(self.rig, event_camera=None))
+        vehicles = tuple(seeing._vehicle(scene, world.light, i, n, images) for i in range(n))
         return TeamSuite(imu_bank(imus, bodies), vehicles, self.payload_suite().script)
 
     @property
@@ -99,17 +111,28 @@ class SensorsConfig(Params):
         return build_scene(team, world) if looks else None
 
     def _vehicle(
-        self, scene: Scene | None, light: Light, vehicle: int, count: int
+        self,
+        scene: Scene | None,
+        light: Light,
+        vehicle: int,
+        count: int,
+        names: Container[str] | None = None,
     ) -> VehicleSensors:
         mount, events, images = self.rig.event_camera, None, None
         if scene is not None and mount is not None:
             events = event_camera(self.events, mount, scene, light, vehicle)
         if scene is not None and self.rig.cameras:
-            images = cameras(self.rig, scene, light, vehicle, count)
+            images = cameras(self.rig, scene, light, vehicle, count, names)
         return VehicleSensors(
             vehicle=vehicle,
             cameras=images,
             events=events,
             load_cell=self.load_cell,
-            script=script_of(self.faults, 1 + vehicle, self._camera_names, self._event_size_px),
+            script=script_of(
+                self.faults,
+                1 + vehicle,
+                self._camera_names,
+                self._event_size_px,
+                self.imu.clock_offset_us,
+            ),
         )

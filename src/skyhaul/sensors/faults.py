@@ -10,7 +10,7 @@ import numpy as np
 from skyhaul.params import Params
 from skyhaul.sensors.api import CameraFrame, ImuReading
 from skyhaul.sensors.streams import Source, stream
-from skyhaul.types import US_PER_S, TimeUs
+from skyhaul.types import US_PER_S, Mask, TimeUs
 
 Carrier = int | Literal["payload"]
 """A vehicle, 0-based, or the load."""
@@ -219,12 +219,15 @@ def shifted(fault: ClockOffset, frame: CameraFrame) -> CameraFrame:
     return replace(frame, stamp_us=frame.stamp_us + ahead)
 
 
-def cut_off(fault: ImuSaturation, reading: ImuReading) -> ImuReading:
-    """The reading of an IMU of a smaller range."""
-    w, f = fault.gyro_range_radps, fault.accel_range_mps2
-    return ImuReading(
-        reading.stamp_us, np.clip(reading.gyro_I, -w, w), np.clip(reading.accel_I, -f, f)
-    )
+def spoilt(fault: ImuSaturation | ImuGap, reading: ImuReading, on: Mask) -> ImuReading:
+    """What is left of samples of which some, (k,), are measured while a fault acts."""
+    if isinstance(fault, ImuGap):
+        keep = ~on
+        return ImuReading(reading.stamp_us[keep], reading.gyro_I[keep], reading.accel_I[keep])
+    w, f, at = fault.gyro_range_radps, fault.accel_range_mps2, on[:, None]
+    gyro = np.where(at, np.clip(reading.gyro_I, -w, w), reading.gyro_I)
+    accel = np.where(at, np.clip(reading.accel_I, -f, f), reading.accel_I)
+    return ImuReading(reading.stamp_us, gyro, accel)
 
 
 def _check_interval(start_s: float, duration_s: float) -> None:

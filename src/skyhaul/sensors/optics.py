@@ -7,6 +7,9 @@ from typing import Literal, cast
 from skyhaul.geometry.camera import CameraModel, Equidistant, RadTan
 from skyhaul.params import Params
 
+LEAST_PX, MOST_PX = 16, 4096
+"""Fewest and most columns and rows of an image [px]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LensParams(Params):
@@ -31,6 +34,11 @@ class LensParams(Params):
             calibrated[0] == (self.fov_deg is not None)
         ):
             raise ValueError("give either fov_deg, or focal_px and center_px")
+        if not (min(self.size_px) >= LEAST_PX and max(self.size_px) <= MOST_PX):
+            raise ValueError(
+                f"size_px must lie between {LEAST_PX} and {MOST_PX} columns and rows, "
+                f"got {self.size_px[0]} x {self.size_px[1]}"
+            )
         self.model()
 
     def model(self) -> CameraModel:

@@ -4,6 +4,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from skyhaul.sensors.api import CameraFrame, EventReading, GreyImage, ImuReading, VehicleReading
 from skyhaul.sensors.faults import (
     ClockOffset,
@@ -13,13 +15,12 @@ from skyhaul.sensors.faults import (
     ImuGap,
     ImuSaturation,
     SensorFault,
-    cut_off,
     is_lost,
     is_on,
     shifted,
+    spoilt,
 )
 from skyhaul.sensors.flicker import Flicker, mixed
-from skyhaul.sensors.imu import NO_SAMPLES
 from skyhaul.sensors.streams import PAYLOAD_BODY
 from skyhaul.sensors.truth_api import EventLabels
 from skyhaul.types import TimeUs
@@ -43,18 +44,21 @@ class FaultScript:
     faults: tuple[tuple[int, SensorFault], ...]
     cameras: tuple[str, ...]
     event_size_px: tuple[int, int] | None
+    imu_ahead_us: TimeUs = 0
+    """By which the clock of its IMU is ahead of true time [us]."""
 
     def init(self, seed: int) -> ScriptMemory:
         """Nothing has happened yet."""
         return ScriptMemory(seed, {}, {}, -1)
 
-    def imu(self, t_us: TimeUs, reading: ImuReading) -> ImuReading:
-        """What is left of an IMU's samples that are delivered now."""
+    def imu(self, reading: ImuReading) -> ImuReading:
+        """What is left of an IMU's samples: each is spoilt by what acts when it is measured."""
         for _, fault in self.faults:
-            if isinstance(fault, ImuSaturation) and is_on(fault, t_us):
-                reading = cut_off(fault, reading)
-            if isinstance(fault, ImuGap) and is_on(fault, t_us):
-                reading = NO_SAMPLES
+            if isinstance(fault, ImuSaturation | ImuGap):
+                true_us = reading.stamp_us - self.imu_ahead_us
+                on = np.array([is_on(fault, t) for t in true_us.tolist()], np.bool_)
+                if on.any():
+                    reading = spoilt(fault, reading, on)
         return reading
 
     def step(
@@ -63,7 +67,7 @@ class FaultScript:
         """What is left of a vehicle's reading."""
         if not self.faults:
             return memory, reading, labels
-        imu = self.imu(reading.stamp_us, reading.imu)
+        imu = self.imu(reading.imu)
         held, last, frames = dict(memory.held), dict(memory.stamp_us), []
         for frame in reading.frames:
             passed = self._frame(memory.seed, held, frame)
@@ -118,8 +122,9 @@ def script_of(
     body: int,
     cameras: Sequence[str],
     event_size_px: tuple[int, int] | None,
+    imu_ahead_us: TimeUs,
 ) -> FaultScript:
     """The part of a scenario's faults that is about one body, `PAYLOAD_BODY` or 1 + vehicle."""
     carrier = "payload" if body == PAYLOAD_BODY else body - 1
     mine = tuple((i, f) for i, f in enumerate(faults) if f.vehicle == carrier)
-    return FaultScript(body, mine, tuple(cameras), event_size_px)
+    return FaultScript(body, mine, tuple(cameras), event_size_px, imu_ahead_us)

@@ -45,8 +45,12 @@ class EventSource(Protocol):
         self,
         memory: Any,  # noqa: ANN401
         truth: Truth,
+        *,
+        last: bool = False,
     ) -> tuple[Any, EventReading | None, EventLabels | None]:
         """Events since the reading before, with their labels; None where none is due.
+
+        With `last` everything up to now is due.
 
         It takes the memory over and may change it in place: go on with what it returns.
         """
@@ -83,7 +87,7 @@ class VehicleSensors:
         )
 
     def step(
-        self, memory: VehicleMemory, truth: Truth, imu: ImuReading
+        self, memory: VehicleMemory, truth: Truth, imu: ImuReading, *, last: bool = False
     ) -> tuple[VehicleMemory, VehicleReading, EventLabels | None]:
         """Everything that is due at the next true state, faults included."""
         frames, events, labels, cell = NO_FRAMES, None, None, None
@@ -91,7 +95,7 @@ class VehicleSensors:
         if self.cameras is not None:
             cameras, frames = self.cameras.step(cameras, truth)
         if self.events is not None:
-            event_memory, events, labels = self.events.step(event_memory, truth)
+            event_memory, events, labels = self.events.step(event_memory, truth, last=last)
         if self.load_cell is not None and cell_memory is not None:
             cell_memory, cell = self.load_cell.step(cell_memory, truth)
         script, reading, labels = self.script.step(
@@ -130,11 +134,11 @@ class VehicleSuite:
         return SuiteMemory(self.bank.init(seed), self.sensors.init(seed))
 
     def step(
-        self, memory: SuiteMemory, truth: Truth
+        self, memory: SuiteMemory, truth: Truth, *, last: bool = False
     ) -> tuple[SuiteMemory, VehicleReading, SensorTruth]:
-        """Advance to the next true state, one step of the plant later."""
+        """Advance to the next true state, one step of the plant later; `last`: the last one."""
         imu, (samples,) = self.bank.step(memory.imu, truth.stamp_us, motion_of(truth))
-        rest, reading, labels = self.sensors.step(memory.rest, truth, samples)
+        rest, reading, labels = self.sensors.step(memory.rest, truth, samples, last=last)
         return SuiteMemory(imu, rest), reading, SensorTruth(labels, imu.bias[0])
 
 
@@ -152,7 +156,7 @@ class PayloadSuite:
     def step(self, memory: ImuMemory, truth: Truth) -> tuple[ImuMemory, PayloadReading]:
         """Advance to the next true state, one step of the plant later."""
         memory, (samples,) = self.bank.step(memory, truth.stamp_us, motion_of(truth))
-        return memory, PayloadReading(truth.stamp_us, self.script.imu(truth.stamp_us, samples))
+        return memory, PayloadReading(truth.stamp_us, self.script.imu(samples))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +188,7 @@ class TeamSuite:
         """Advance to the next true state, one step of the plant later."""
         t_us = truth.stamp_us
         imus, samples = self.bank.step(memory.imus, t_us, motion_of(truth))
-        payload = PayloadReading(t_us, self.payload_script.imu(t_us, samples[0]))
+        payload = PayloadReading(t_us, self.payload_script.imu(samples[0]))
         memories, readings = [], []
         for i, sensors in enumerate(self.vehicles):
             after, reading, _ = sensors.step(memory.vehicles[i], truth, samples[1 + i])

@@ -95,11 +95,12 @@ class EventCamera:
         return EventCameraMemory(seed, None, 0, 0.0, 0, 0.0)
 
     def step(
-        self, memory: EventCameraMemory, truth: Truth
+        self, memory: EventCameraMemory, truth: Truth, *, last: bool = False
     ) -> tuple[EventCameraMemory, EventReading | None, EventLabels | None]:
         """Events since the rendering before, if one is due at a true state.
 
-        Labels are object ids of the scene. Call it for every step of the plant, in order.
+        Labels are object ids of the scene. Call it for every step of the plant, in order; with
+        `last` what has fired since the rendering before is delivered in any case.
         """
         t_us, level = truth.stamp_us, self.light.at(truth.stamp_us / US_PER_S)
         if memory.pixels is None:
@@ -108,7 +109,8 @@ class EventCamera:
             pixels = self.params.pixels.init(view, self.lens.width, t_us, rng)
             return self._after(memory, pixels, level, flow), None, None
         coming = self.light.at((t_us + PLANT_STEP_US) / US_PER_S)
-        if t_us + PLANT_STEP_US <= memory.due_us and level == memory.level == coming:
+        steady = t_us + PLANT_STEP_US <= memory.due_us and level == memory.level == coming
+        if steady and not last:
             return memory, None, None
         view, flow = self._look(truth, level)
         pixels, reading, labels = self.params.pixels.step(memory.pixels, view, t_us)
