@@ -14,7 +14,7 @@ from skyhaul.geometry.quaternion import quat_exp, quat_rotate
 from skyhaul.geometry.so3 import hat, so3_exp
 from skyhaul.perception.vio.api import NE, NavState
 from skyhaul.perception.vio.clones import clone, correct, start_filter
-from skyhaul.perception.vio.ekf import sight_derivatives
+from skyhaul.perception.vio.constraints import sight_derivatives
 from skyhaul.perception.vio.imu import ImuNoise, advance
 from skyhaul.perception.vio.pose_update import Sights, TukeyPose, bearings, update_pose
 from skyhaul.perception.vio.structure import relative_pose

@@ -113,6 +113,7 @@ def test_a_sensors_description_gives_its_numbers_back(written, made) -> None:
     body = np.array(load(folder / "mav0" / "body.yaml")["T_carrier_imu"]["data"]).reshape(4, 4)
     np.testing.assert_array_equal(body[:3, :3], known.imu.R_BI)
     np.testing.assert_array_equal(body[:3, 3], known.imu.p_BI)
+    assert load(folder / "mav0" / "body.yaml")["imu_clock_ahead_s"] == 250e-6
 
 
 def test_kalibrs_chain_gives_every_pose_back(written, made) -> None:

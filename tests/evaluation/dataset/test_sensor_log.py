@@ -71,6 +71,12 @@ def test_images_are_in_it_pixel_by_pixel(joined, made) -> None:
 
 
 def test_camera_info_tells_the_calibration(joined, made) -> None:
+    for camera, beside in (("front_left", "front_left/image"), ("events", "events")):
+        ours, theirs = (
+            [(m.header.stamp.sec, m.header.stamp.nanosec) for _, m in joined[f"/vehicle_0/{topic}"]]
+            for topic in (f"{camera}/camera_info", beside)
+        )
+        assert ours == theirs
     (_, info), *_ = joined["/vehicle_0/front_left/camera_info"]
     model = made.known.rig.cameras[0].model
     assert (info.width, info.height) == model.size_px

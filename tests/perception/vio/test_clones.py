@@ -7,16 +7,16 @@ from simulated_tracks import rig_of
 
 from skyhaul.geometry.quaternion import R_to_quat, quat_conj, quat_log, quat_mul
 from skyhaul.geometry.so3 import so3_exp
-from skyhaul.perception.vio.api import NE, NavState
+from skyhaul.perception.vio.api import NE, CameraRig, NavState
 from skyhaul.perception.vio.clones import clone, correct, forget_clone, move, start_filter
-from skyhaul.perception.vio.ekf import (
+from skyhaul.perception.vio.constraints import (
     ClonedTrack,
-    EkfVio,
     _noise_of,
-    follow,
     sight_derivatives,
+    standing_constraint,
     track_constraint,
 )
+from skyhaul.perception.vio.ekf import EkfVio, follow
 from skyhaul.perception.vio.imu import ImuNoise, advance
 
 
@@ -196,3 +196,50 @@ def test_a_slide_of_tracks_is_a_walk_in_each_camera():
     assert covariance[2, 3] == covariance[0, 2] == 0.0
     late = ClonedTrack((0, 0, 0), (0, 4, 8), (np.zeros(2),) * 3)
     assert _noise_of(late, np.full(3, 0.5), params)[1, 2] == pytest.approx(walk)
+
+
+def hanging(v_guess, v_true, depth_m, slide=2.0):
+    """A filter that holds a vehicle for moving at `v_guess` along x; its 12 tracks of `v_true`.
+
+    It looks along y; six clones in half a second.
+    """
+    rng = np.random.default_rng(5)
+    q = R_to_quat(np.eye(3))
+    state = NavState(np.zeros(3), q, np.array([v_guess, 0, 0]), np.zeros(3), np.zeros(3))
+    sigma = np.repeat([1e-3, 2e-3, 0.1, 1e-4, 1e-3], 3)
+    f = clone(start_filter(state, np.diag(sigma**2)), 0)
+    samples = np.hstack(
+        [np.full((50, 1), 0.002), np.zeros((50, 3)), np.tile([0, 0, 9.80665], (50, 1))]
+    )
+    for k in range(1, 6):
+        predicted, Phi, Q = advance(f.state, samples, ImuNoise().densities())
+        f = clone(move(f, predicted, Phi, Q, 0.1), k)
+    tracks = []
+    for xy in rng.uniform(-0.4, 0.4, (12, 2)):
+        p_WP = depth_m * np.array([xy[0], 1.0, -xy[1]])
+        seen = [p_WP - [0.1 * k * v_true, 0.0, 0.0] for k in range(6)]
+        sights = [np.array([s[0] / s[1], -s[2] / s[1]]) for s in seen]
+        tracks.append(ClonedTrack((0,) * 6, tuple(range(6)), tuple(sights)))
+    return f, tracks
+
+
+LOOKS_ALONG_Y = CameraRig(np.array([[[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]]), np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize("depth_m", [1.0, 3.0, 8.0])
+def test_bearings_that_stand_hold_a_filter_that_believes_it_moves(depth_m):
+    f, tracks = hanging(0.15, 0.0, depth_m)
+    both = [standing_constraint(f, LOOKS_ALONG_Y, t, EkfVio(), np.array([1e-3])) for t in tracks]
+    residual, H = np.concatenate([r for r, _ in both]), np.vstack([H for _, H in both])
+    after = correct(f, residual, H, 1.0)
+    error = after.state.v_WI[0]
+    assert abs(error) < 0.02
+    assert error**2 < 9.0 * after.covariance[6, 6] < 0.1 * f.covariance[6, 6]
+
+
+@pytest.mark.parametrize("depth_m", [1.0, 3.0])
+def test_bearings_that_move_hold_nothing(depth_m):
+    """Their scale is not known: 0.15 m/s before far points, or less before near ones?"""
+    f, tracks = hanging(0.15, 0.15, depth_m)
+    for track in tracks:
+        assert standing_constraint(f, LOOKS_ALONG_Y, track, EkfVio(), np.array([1e-3])) is None

@@ -95,8 +95,10 @@ def body_yaml(imu: ImuCalibration, carrier: str) -> str:
     return _dump(
         {
             "comment": f"the body is the IMU; T_carrier_imu: its pose in {carrier}, from the "
-            "centre of mass, x forward, y left, z up",
+            "centre of mass, x forward, y left, z up; imu_clock_ahead_s: the stamp of a sample "
+            "less the true time",
             "T_carrier_imu": _matrix(T_BI),
+            "imu_clock_ahead_s": imu.clock_offset_us / US_PER_S,
         }
     )
 

@@ -21,8 +21,6 @@ from skyhaul.types import Array, TimeUs
 
 EVENTS_PERIOD_US: TimeUs = 10_000
 """Events of so long a time go into one message [us]."""
-INFO_PERIOD = 10
-"""One `camera_info` for so many images."""
 
 _UNKNOWN = (-1.0, *8 * (0.0,))
 
@@ -103,15 +101,19 @@ def _imu(folder: Path, body: Body) -> Iterator[Entry]:
 
 def _images(folder: Path, body: Body, camera: CameraCalibration) -> Iterator[Entry]:
     frame = f"{body.name}/{plain(camera.name)}"
-    for k, (t_ns, name) in enumerate(read_frames(folder / layout.DATA)):
+    for t_ns, name in read_frames(folder / layout.DATA):
         t_us = t_ns // 1000
         head = messages.header(t_us, frame)
-        if k % INFO_PERIOD == 0:
-            info = (*head, *_camera_info(camera))
-            yield _entry(t_us, f"/{frame}/camera_info", "sensor_msgs/CameraInfo", info)
+        yield _info(t_us, frame, camera)
         data = np.frombuffer((folder / "data" / name).read_bytes(), np.uint8)
         image = (*head, "png", data)
         yield _entry(t_us, f"/{frame}/image", "sensor_msgs/CompressedImage", image)
+
+
+def _info(t_us: TimeUs, frame: str, camera: CameraCalibration) -> Entry:
+    """The `camera_info` that goes with an image or with events: of the same stamp."""
+    info = (*messages.header(t_us, frame), *_camera_info(camera))
+    return _entry(t_us, f"/{frame}/camera_info", "sensor_msgs/CameraInfo", info)
 
 
 def _camera_info(camera: CameraCalibration) -> tuple[Any, ...]:
@@ -136,6 +138,7 @@ def _events(folder: Path, body: Body, camera: CameraCalibration) -> Iterator[Ent
     for low, high in zip([0, *cuts[:-1]], cuts, strict=True):
         if high > low:
             t_us, rows = int(events.t_us[high - 1]), slice(low, high)
+            yield _info(t_us, frame, camera)
             leaves = (
                 *messages.header(t_us, frame), *camera.model.size_px,
                 events.t_us[rows], events.x[rows], events.y[rows], events.p[rows],

@@ -16,6 +16,8 @@ from skyhaul.perception.vio.recording import part
 from skyhaul.perception.vio.standing import Standing, stands, start_covariance, static_start
 from skyhaul.types import US_PER_S, Array
 
+HANGS_MPS = 0.02
+"""Standard deviation of the speed of a vehicle that hovers, at rest [m/s]."""
 LEAST_SAMPLES = 20
 """Of the IMU of a vehicle that is known to stand."""
 
@@ -101,7 +103,7 @@ def _surveyed(
     state = NavState(start.p_WI, q_WI, np.zeros(3), np.zeros(3), np.zeros(3))
     before = start_covariance(standing, start, quat_to_R(q_WI))
     before[R, R] = start.sigma_yaw_rad**2 * np.eye(3)
-    before[V, V] = standing.speed_sigma_mps**2 * np.eye(3)
+    before[V, V] = HANGS_MPS**2 * np.eye(3)
     state, Phi, Q = advance(state, segments(intake.imu, 0, intake.now_us), noise.densities())
     return state, Phi @ before @ Phi.T + Q
 

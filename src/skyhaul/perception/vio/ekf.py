@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
-from skyhaul.geometry.so3 import hat
 from skyhaul.params import Params
 from skyhaul.perception.vio.api import (
     NE,
@@ -33,12 +32,17 @@ from skyhaul.perception.vio.clones import (
     move,
     start_filter,
 )
+from skyhaul.perception.vio.constraints import (
+    ClonedTrack,
+    point_of,
+    standing_constraint,
+    track_constraint,
+)
 from skyhaul.perception.vio.imu import ImuNoise, advance, segments
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.rest import Rest, rest_of, widened
-from skyhaul.perception.vio.triangulation import Point, locate
 from skyhaul.sensors.api import ImuReading
-from skyhaul.types import US_PER_S, Array, IntArray, TimeUs
+from skyhaul.types import US_PER_S, Array, TimeUs
 
 FIT = 5.0
 """RMS error of the sights of a landmark that is handed on, in standard deviations."""
@@ -67,6 +71,17 @@ class EkfVio(Params):
     """Share of good tracks that pass the chi-square gate."""
     depth_m: tuple[float, float] = (0.2, 50.0)
     """Depths at which points may lie [m]."""
+    adrift_s: float = 0.3
+    """Without a track that passes for this long, tracks that are not ripe are used too: seen by two
+    cameras, or with bearings that stand [s]."""
+    held_quota: int = 12
+    """How many of them at a clone at most ..."""
+    least_held: int = 4
+    """... and at least; most of them must agree with the filter."""
+    stereo_rad: float = 0.008
+    """Parallax that two cameras together need [rad]."""
+    far_m: float = 10.0
+    """Points of bearings that stand are taken to lie here: cautious where most are nearer [m]."""
     lost_s: float = 2.0
     """Without a track that passes for this long the status is LOST [s]."""
     beginning: Beginning = field(default_factory=Beginning)
@@ -95,20 +110,6 @@ class EkfVio(Params):
                 for each camera.
         """
         return EkfEstimator(self, rig, np.broadcast_to(sigma, len(rig.p_IC)))
-
-
-@dataclass(frozen=True, eq=False)
-class ClonedTrack:
-    """A track and the clones that saw it."""
-
-    camera: tuple[int, ...]  # of each sight
-    k: tuple[int, ...]  # keyframes, growing; two cameras of one keyframe may see it
-    xy: tuple[Array, ...]  # (2,) each
-
-    def seen_from(self, k: int) -> "ClonedTrack":
-        """The track without what was seen before a keyframe."""
-        first = sum(i < k for i in self.k)
-        return ClonedTrack(self.camera[first:], self.k[first:], self.xy[first:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +167,11 @@ class EkfEstimator:
                 continue
             _, point = point_of(filter_, self.rig, track)
             near = p.depth_m[0] < point.depth_m < p.depth_m[1]
-            if near and point.parallax_rad >= p.parallax_rad and point.error <= FIT * self.sigma[0]:
+            if (
+                near
+                and point.parallax_rad >= p.parallax_rad
+                and point.error <= FIT * float(np.max(self.sigma[list(track.camera)]))
+            ):
                 out[track_id] = point.p_WP
         return out
 
@@ -197,6 +202,11 @@ class EkfEstimator:
         tracks, ended = follow(memory.tracks, frame, k)
         due = [*ended, *self._ripe(tracks, filter_)]
         filter_, used, rejected = self._use(filter_, [t for _, t in due])
+        adrift = now - memory.seen_us > round(p.adrift_s * US_PER_S)
+        if adrift and not used and rest is Rest.NO:
+            longest = self._longest(tracks)
+            filter_, used = self._hold(filter_, [t for _, t in longest])
+            due = [*due, *(longest if used else ())]
         for track_id, _ in due:
             tracks.pop(track_id, None)
         if len(filter_.clone_k) > p.clones:
@@ -227,6 +237,13 @@ class EkfEstimator:
         rest.sort(key=lambda item: (-len(item[1].k), item[0]))
         return must + rest[: p.quota]
 
+    def _longest(self, tracks: Mapping[int, ClonedTrack]) -> list[tuple[int, ClonedTrack]]:
+        """The tracks that go on and have been followed longest."""
+        p = self.params
+        going = [(i, t) for i, t in tracks.items() if len(t.k) >= p.least_sights]
+        going.sort(key=lambda item: (-len(item[1].k), item[0]))
+        return going[: p.held_quota]
+
     def _use(
         self, filter_: CloneFilter, tracks: Sequence[ClonedTrack]
     ) -> tuple[CloneFilter, int, int]:
@@ -238,17 +255,39 @@ class EkfEstimator:
             constraint = track_constraint(filter_, self.rig, track, self.params, self.sigma)
             if constraint is None:
                 continue
-            residual, H = constraint
-            S = H @ filter_.covariance @ H.T + np.eye(len(residual))
-            bound = chdtri(len(residual), 1.0 - self.params.gate)  # chi-square quantile
-            if residual @ np.linalg.solve(S, residual) > bound:
+            if not self._passes(filter_, *constraint):
                 rejected += 1
                 continue
-            rows.append(H)
-            residuals.append(residual)
+            residuals.append(constraint[0])
+            rows.append(constraint[1])
         if rows:
             filter_ = correct(filter_, np.concatenate(residuals), np.vstack(rows), 1.0)
         return filter_, len(rows), rejected
+
+    def _hold(self, filter_: CloneFilter, tracks: Sequence[ClonedTrack]) -> tuple[CloneFilter, int]:
+        """Update with tracks that are not ripe, if most of them agree with the filter; how many.
+
+        Two cameras place a point with little parallax; what one camera sees must stand.
+        """
+        p, found = self.params, []
+        for track in tracks:
+            if len(set(track.camera)) > 1:
+                c = track_constraint(filter_, self.rig, track, p, self.sigma, p.stereo_rad)
+            else:
+                c = standing_constraint(filter_, self.rig, track, p, self.sigma)
+            if c is not None:
+                found.append(c)
+        good = [c for c in found if self._passes(filter_, *c)]
+        if len(good) < p.least_held or 2 * len(good) <= len(found):
+            return filter_, 0
+        residual, H = np.concatenate([r for r, _ in good]), np.vstack([H for _, H in good])
+        return correct(filter_, residual, H, 1.0), len(good)
+
+    def _passes(self, filter_: CloneFilter, residual: Array, H: Array) -> bool:
+        """Chi-square gate."""
+        S = H @ filter_.covariance @ H.T + np.eye(len(residual))
+        bound = chdtri(len(residual), 1.0 - self.params.gate)
+        return bool(residual @ np.linalg.solve(S, residual) <= bound)
 
     def _estimate(self, memory: EkfMemory, state: NavState, covariance: Array) -> VioEstimate:
         now = memory.intake.now_us
@@ -268,91 +307,3 @@ def follow(
         old = going.get(track_id) or tracks.get(track_id) or ClonedTrack((), (), ())
         going[track_id] = ClonedTrack((*old.camera, camera), (*old.k, k), (*old.xy, xy))
     return going, [(i, t) for i, t in tracks.items() if i not in going]
-
-
-def track_constraint(
-    filter_: CloneFilter, rig: CameraRig, track: ClonedTrack, params: EkfVio, sigma: Array
-) -> tuple[Array, Array] | None:
-    """Residual and derivative of a track with its point eliminated; None where it has no point.
-
-    The residual, in standard deviations `sigma` of each camera's tracks, (c,), is multiplied by a
-    basis of all directions that moving the point cannot change.
-    """
-    poses, point = point_of(filter_, rig, track)
-    R_WI, p_WI, R_IC, p_IC, index = poses
-    camera, xy = np.array(track.camera), np.array(track.xy)
-    if point.parallax_rad < params.parallax_rad:
-        return None
-    if not params.depth_m[0] < point.depth_m < params.depth_m[1]:
-        return None
-    seen = _project(R_WI, p_WI, R_IC, p_IC, point.p_WP)
-    white = np.linalg.inv(np.linalg.cholesky(_noise_of(track, sigma[camera], params)))
-    residual = (white @ (xy - seen[:, :2] / seen[:, 2:])).ravel()
-    first_R, first_p = filter_.first_R[index], filter_.first_p[index]
-    by_pose, by_point = sight_derivatives(first_R, first_p, R_IC, p_IC, point.p_WP)
-    by_point = np.einsum("ij,jab->iab", white, by_point)
-    H = np.zeros((len(xy), 2, len(filter_.covariance)))
-    for row, i in enumerate(index):
-        H[row, :, NE + 6 * i : NE + 6 * i + 6] = by_pose[row]
-    H = np.einsum("ij,jab->iab", white, H).reshape(len(residual), -1)
-    basis = np.linalg.qr(by_point.reshape(-1, 3), mode="complete").Q[:, 3:]
-    return basis.T @ residual, basis.T @ H
-
-
-def point_of(
-    filter_: CloneFilter, rig: CameraRig, track: ClonedTrack
-) -> tuple[tuple[Array, Array, Array, Array, IntArray], Point]:
-    """Poses of body and camera at each sight, their rows among the clones; the track's point."""
-    index = np.array([filter_.clone_k.index(k) for k in track.k])
-    camera = np.array(track.camera)
-    R_IC, p_IC = rig.R_IC[camera], rig.p_IC[camera]
-    R_WI, p_WI = filter_.clone_R[index], filter_.clone_p[index]
-    p_WC = p_WI + np.einsum("kij,kj->ki", R_WI, p_IC)
-    point = locate(R_WI @ R_IC, p_WC, np.array(track.xy))
-    return (R_WI, p_WI, R_IC, p_IC, index), point
-
-
-def _noise_of(track: ClonedTrack, sigma: Array, params: EkfVio) -> Array:
-    """Covariance of the sights of a track, per axis of the image, (n, n).
-
-    White noise, and a walk: a patch slides off its point as its look changes. Each camera walks
-    on its own, from its first sight on; what came before is a shift of the point.
-    """
-    t_s = params.keyframe_s * (np.array(track.k) - track.k[0])
-    same = np.equal.outer(track.camera, track.camera)
-    walk = params.slide**2 * np.minimum.outer(t_s, t_s) * same
-    covariance: Array = np.outer(sigma, sigma) * (np.eye(len(sigma)) + walk)
-    return covariance
-
-
-def _project(R_WI: Array, p_WI: Array, R_IC: Array, p_IC: Array, p_WP: Array) -> Array:
-    """A point in camera axes, (k, 3)."""
-    point_I = np.einsum("kji,kj->ki", R_WI, p_WP - p_WI) - p_IC
-    seen: Array = np.einsum("kji,kj->ki", R_IC, point_I)
-    return seen
-
-
-def sight_derivatives(
-    R_WI: Array, p_WI: Array, R_IC: Array, p_IC: Array, p_WP: Array
-) -> tuple[Array, Array]:
-    """Derivatives of a point's normalised image by the poses (p, R) and by the point.
-
-    Args:
-        R_WI: Attitudes, (k, 3, 3).
-        p_WI: Positions, (k, 3) [m].
-        R_IC: Camera on the body of each sight, (k, 3, 3).
-        p_IC: (k, 3) [m].
-        p_WP: The point, (3,) [m].
-
-    Returns:
-        (k, 2, 6) and (k, 2, 3).
-    """
-    c = _project(R_WI, p_WI, R_IC, p_IC, p_WP)
-    z = np.maximum(c[:, 2], 0.05)
-    by_c = np.zeros((len(c), 2, 3))
-    by_c[:, 0, 0] = by_c[:, 1, 1] = 1.0 / z
-    by_c[:, :, 2] = -c[:, :2] / (z * z)[:, None]
-    by_I = by_c @ np.swapaxes(R_IC, 1, 2)
-    by_point = by_I @ np.swapaxes(R_WI, 1, 2)
-    turned = hat(np.einsum("kji,kj->ki", R_WI, p_WP - p_WI))
-    return np.concatenate([-by_point, by_I @ turned], axis=2), by_point
