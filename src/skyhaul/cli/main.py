@@ -188,7 +188,9 @@ def _add_vio(vio: argparse.ArgumentParser) -> None:
 
 
 def _add_events(to: argparse.ArgumentParser) -> None:
-    to.add_argument("file", metavar="FILE", type=Path, help="`t x y p` text, .es, .aedat4, .raw")
+    to.add_argument(
+        "file", metavar="FILE", type=Path, help="`t x y p` text, .es, .h5, .aedat4, .raw"
+    )
     to.add_argument("--json", action="store_true", help="print the numbers as JSON")
     to.add_argument(
         "--calib",

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
+import h5py
 import numpy as np
 import pytest
 
 from skyhaul.errors import FileError
+from skyhaul.evaluation.dataset.events_file import EventsWriter
+from skyhaul.evaluation.dataset.layout import EVENTS_H5
 from skyhaul.perception.events.recordings import read_calibration, read_rate, read_recording
+from skyhaul.sensors.api import EventReading
+from skyhaul.sensors.truth_api import EventLabels
 
 
 def event_stream(rows, width=32, height=24):
@@ -39,6 +44,28 @@ def test_text_is_read_in_microseconds(tmp_path):
     np.testing.assert_array_equal(events.x, [3, 5, 7])
     np.testing.assert_array_equal(events.y, [4, 6, 2])
     np.testing.assert_array_equal(events.p, [-1, 1, 1])
+
+
+def test_what_was_recorded_is_read_back(tmp_path):
+    rng, n = np.random.default_rng(0), 500
+    wrote = EventReading(
+        np.sort(rng.integers(0, 10**6, n)), rng.integers(0, 40, n).astype(np.int16),
+        rng.integers(0, 30, n).astype(np.int16), rng.choice([-1, 1], n).astype(np.int8),
+    )  # fmt: skip
+    file = EventsWriter(tmp_path, (64, 48))
+    file.add(wrote, EventLabels(np.zeros(n, np.int16)))
+    file.close()
+    made = read_recording(tmp_path / EVENTS_H5)
+    assert (made.width, made.height) == (64, 48)
+    for column in ("t_us", "x", "y", "p"):
+        np.testing.assert_array_equal(getattr(made.events, column), getattr(wrote, column))
+
+
+def test_hdf5_without_events_is_refused(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["images"] = np.zeros(3)
+    with pytest.raises(FileError, match=r"no events in HDF5 as `skyhaul record` or DSEC"):
+        read_recording(tmp_path / "a.h5")
 
 
 def test_a_real_event_stream_has_the_events_that_other_readers_find(data):

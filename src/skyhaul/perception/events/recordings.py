@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded events: `t x y p` text, Event Stream, and what faery reads; the files beside them."""
+"""Recorded events: text, Event Stream, HDF5, and what faery reads; the files beside them."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +15,7 @@ from skyhaul.sensors.api import EventReading
 from skyhaul.types import US_PER_S, Array, IntArray
 
 _SIGNATURE = b"Event Stream"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 _HEADER_BYTES = 20
 _DVS = 1
 _OVERFLOW = 127
@@ -31,7 +33,7 @@ class Recording:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read events by what the file is: Event Stream, AEDAT4 and Prophesee by faery, else text.
+    """Read events by what the file is: Event Stream, HDF5, AEDAT4 and Prophesee by faery, or text.
 
     Raises:
         FileError: When there is no such file, or it holds no events.
@@ -42,6 +44,8 @@ def read_recording(path: Path) -> Recording:
         head = file.read(4096)
     if head.startswith(_SIGNATURE):
         made = _read_event_stream(path)
+    elif head.startswith(_HDF5):
+        made = _read_hdf5(path)
     elif path.suffix.lower() in FAERY_SUFFIXES:
         made = _read_with_faery(path)
     else:
@@ -99,7 +103,7 @@ def _reading(t_us: Numbers, x: Numbers, y: Numbers, on: Numbers) -> EventReading
 
 def _read_text(path: Path, head: bytes) -> Recording:
     if b"\0" in head:
-        raise FileError(f"{path}: a binary file of no known kind; give `t x y p` text, .es or "
+        raise FileError(f"{path}: a binary file of no known kind; give `t x y p` text, .es, .h5 or "
                         f"{', '.join(FAERY_SUFFIXES)}")  # fmt: skip
     if not head.strip():
         raise FileError(f"{path}: the file is empty; give a recording of events")
@@ -123,6 +127,29 @@ def _read_text(path: Path, head: bytes) -> Recording:
                         "events come in order of time")  # fmt: skip
     events = _reading(np.round(t * US_PER_S), x, y, p > 0)
     return Recording(events, int(x.max()) + 1, int(y.max()) + 1)
+
+
+def _read_hdf5(path: Path) -> Recording:
+    """HDF5 as DSEC lays it out, and as `skyhaul record` writes it: `events/t`, `x`, `y`, `p`."""
+    try:
+        with h5py.File(path, "r") as file:
+            t, x, y, p = (np.asarray(file[f"events/{name}"]) for name in "txyp")
+            begin_us = int(file["t_offset"][()]) if "t_offset" in file else 0
+            size = [int(file.attrs.get(name, 0)) for name in ("width", "height")]
+    except (OSError, KeyError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise FileError(
+            f"{path}: no events in HDF5 as `skyhaul record` or DSEC write them (events/t, x, y, p; "
+            f"gzip or none): {reason}"
+        ) from error
+    if not len(t) == len(x) == len(y) == len(p):
+        raise FileError(f"{path}: events/t, x, y and p differ in length")
+    if np.any(np.diff(t.astype(np.int64)) < 0):
+        raise FileError(f"{path}: times fall; events come in order of time")
+    events = _reading(t.astype(np.int64) + begin_us, x, y, p > 0)
+    if not len(t):
+        return Recording(events, *size)
+    return Recording(events, max(size[0], int(x.max()) + 1), max(size[1], int(y.max()) + 1))
 
 
 def _read_event_stream(path: Path) -> Recording:
