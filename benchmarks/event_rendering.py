@@ -3,9 +3,12 @@
 
 The `paper` flight is flown once; four vehicles' event cameras (160x120, fisheye of 150 deg) are
 simulated on its true states, with the default pixels and noise. Reported: CPU time of rendering and
-pixels for all four, per simulated second; and for windows in which much moves the number of events
-and the cost with renderings when due, at every 2 ms step, and at 1 kHz (states half-way between two
-steps are interpolated).
+pixels for all four, per simulated second; and the number of events and the cost with renderings
+when due over those at 1 kHz (states half-way between two steps are interpolated): over the whole
+flight of one vehicle, and in the 0.3 s of each vehicle in which its image moves fastest.
+
+Between renderings an image moves by 1 px at most: where its largest flow is f px/s there are f
+renderings a second, so that the cost is f / 1000 of that at 1 kHz, whoever renders.
 """
 
 import argparse
@@ -35,8 +38,8 @@ from skyhaul.world.load import load_config
 RESULT = Path(__file__).parent / "results" / "event_rendering.json"
 SEED, VEHICLES = 0, 4
 WINDOW_S, LEAD_S = 0.3, 0.1
-BUSY = ((0, 0.1), (1, 0.35), (2, 0.6), (3, 0.8))
-"""Vehicle and begin of each window, as a share of the flight."""
+WHOLE = 0
+"""The vehicle whose whole flight is rendered at 1 kHz."""
 
 
 class TruthRecorder:
@@ -62,11 +65,13 @@ class Cost:
     events: int
     noise: int
     flow_pxps: tuple[float, ...]
+    flow_us: tuple[int, ...]  # when it was so
 
 
 def simulate(camera: EventCamera, truths: Iterator[Truth], from_us: int, to_us: int) -> Cost:
     """Events and renderings in (from, to], CPU time of all; states go on until all are known."""
     memory, events, noise, renderings, flows = camera.init(SEED), 0, 0, 0, []
+    stamps: list[int] = []
     cpu = 0.0
     for truth in truths:
         begin = time.process_time()
@@ -79,7 +84,18 @@ def simulate(camera: EventCamera, truths: Iterator[Truth], from_us: int, to_us: 
             noise += int(np.count_nonzero(labels.object_id[inside] == -1))
             renderings += timed
             flows.append(memory.flow_pxps)
-    return Cost(cpu, renderings, events, noise, tuple(flows))
+            stamps.append(truth.stamp_us)
+    return Cost(cpu, renderings, events, noise, tuple(flows), tuple(stamps))
+
+
+def busiest_s(cost: Cost, end_s: float) -> float:
+    """Begin of the window in which the image moves furthest."""
+    t = np.arange(0.0, end_s, 0.01)
+    flow = np.interp(t, np.array(cost.flow_us) / US_PER_S, cost.flow_pxps)
+    n = round(WINDOW_S / 0.01)
+    moved = np.convolve(flow, np.ones(n), "valid")
+    first = round(2.0 * LEAD_S / 0.01)
+    return float(t[first + int(np.argmax(moved[first:-first]))])
 
 
 def halfway(a: Truth, b: Truth) -> Truth:
@@ -113,10 +129,11 @@ def camera_of(config: RunConfig, vehicle: int, pacing: Pacing) -> EventCamera:
     return event_camera(params, EventCameraMount(), scene, config.world.light, vehicle)
 
 
-def window(config: RunConfig, track: TruthTrack, vehicle: int, begin_s: float) -> dict[str, Any]:
-    """Adaptive, 500 Hz and 1 kHz rendering of the same time."""
-    out: dict[str, Any] = {"vehicle": vehicle, "begin_s": begin_s}
-    end_s = begin_s + WINDOW_S
+def window(
+    config: RunConfig, track: TruthTrack, vehicle: int, begin_s: float, end_s: float
+) -> dict[str, Any]:
+    """Adaptive and 1 kHz rendering of the same time."""
+    out: dict[str, Any] = {"vehicle": vehicle, "begin_s": begin_s, "end_s": end_s}
     cases = (("adaptive", Pacing(), False), ("1 kHz", Pacing(flow_px=1e-6), True))
     for name, pacing, halves in cases:
         camera = camera_of(config, vehicle, pacing)
@@ -127,6 +144,7 @@ def window(config: RunConfig, track: TruthTrack, vehicle: int, begin_s: float) -
             "renderings": cost.renderings,
             "events": cost.events,
             "noise": cost.noise,
+            "mean_flow_pxps": float(np.mean(cost.flow_pxps)),
         }
     out["count_ratio"] = out["adaptive"]["events"] / out["1 kHz"]["events"]
     out["cost_ratio"] = out["adaptive"]["cpu_s"] / out["1 kHz"]["cpu_s"]
@@ -149,6 +167,7 @@ def whole_flight(config: RunConfig, track: TruthTrack, limit_s: float) -> dict[s
         "renderings_per_s": [c.renderings / end_s for c in costs],
         "events_per_s": [c.events / end_s for c in costs],
         "noise_share": sum(c.noise for c in costs) / sum(c.events for c in costs),
+        "busiest_s": [busiest_s(c, end_s) for c in costs],
         "largest_flow_pxps": {p: float(np.percentile(flows, p)) for p in (5, 50, 95, 100)},
     }
 
@@ -173,8 +192,10 @@ def main() -> None:
     before = calibration_s()
     flight = whole_flight(config, track, 3.0 if arguments.quick else 1e9)
     between = calibration_s()
-    end_s, some = float(track.t_us[-1]) / US_PER_S, BUSY[: 1 if arguments.quick else None]
-    windows = [window(config, track, i, round(share * end_s, 3)) for i, share in some]
+    end_s, vehicles = flight["simulated_s"], range(1 if arguments.quick else VEHICLES)
+    windows = [window(config, track, i, t, t + WINDOW_S)
+               for i, t in zip(vehicles, flight["busiest_s"], strict=False)]  # fmt: skip
+    whole = window(config, track, WHOLE, LEAD_S, end_s - LEAD_S)
     calibration = 0.5 * (before + between)
     counts = [w["count_ratio"] for w in windows]
     rows = [
@@ -183,15 +204,19 @@ def main() -> None:
             "the same on a core whose calibration loop takes 0.12 s",
             flight["cpu_s_per_s"] * 0.12 / calibration, "CPU-s per s", "<= 1.0",
         ),
-        ("events, adaptive over 1 kHz, least", min(counts), "", "within 12 %"),
-        ("events, adaptive over 1 kHz, most", max(counts), "", "within 12 %"),
-        ("cost, adaptive over 1 kHz, most", max(w["cost_ratio"] for w in windows), "", "<= 0.25"),
+        ("a whole flight, events, adaptive over 1 kHz", whole["count_ratio"], "", "within 12 %"),
+        ("a whole flight, cost, adaptive over 1 kHz", whole["cost_ratio"], "", "<= 0.25"),
+        ("busiest 0.3 s of each vehicle, events, least", min(counts), "", "within 12 %"),
+        ("busiest 0.3 s of each vehicle, events, most", max(counts), "", "within 12 %"),
+        ("busiest 0.3 s of each vehicle, cost, most", max(w["cost_ratio"] for w in windows), "",
+         "<= 0.25"),
         ("noise among the events", flight["noise_share"], "share", ""),
     ]  # fmt: skip
     report = {
         "claim": "rendering when the image has moved by 1 px gives the events of 1 kHz",
         "rows": [dict(zip(("measure", "value", "unit", "bar"), r, strict=True)) for r in rows],
         "flight": flight,
+        "whole": whole,
         "windows": windows,
         "seeds": [SEED],
         "calibration_5e6_python_iterations_s": {"before": before, "after": between},
