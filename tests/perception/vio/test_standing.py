@@ -46,6 +46,32 @@ def test_slow_motion_is_no_standing_however_quiet_the_imu():
     assert not stands(Standing(), frames(speed=0.02), imu(), 0.5)
 
 
+def test_who_turns_round_does_not_stand():
+    """Where it was a second ago it is a second later: the means of the halves agree."""
+    f = frames(n=41)
+    away = [0.02 * (1e-6 * x.stamp_us - 1.0) ** 2 * np.array([1.0, 0.0]) for x in f]
+    turning = [
+        TrackFrame(x.stamp_us, x.track_id, x.camera, x.xy + d) for x, d in zip(f, away, strict=True)
+    ]
+    assert np.max(flow([turning[:20], turning[21:]])[0]) < 1e-9
+    assert not stands(Standing(), turning, imu(), 2.0)
+    assert stands(Standing(), f, imu(), 2.0)
+
+
+def test_a_camera_whose_tracks_move_is_not_outvoted_by_one_that_sees_far():
+    near = frames(speed=0.02, tracks=8)
+    both = [
+        TrackFrame(
+            a.stamp_us,
+            np.concatenate([a.track_id, 100 + b.track_id]),
+            np.concatenate([a.camera, b.camera + 1]),
+            np.concatenate([a.xy, b.xy]),
+        )
+        for a, b in zip(near, frames(tracks=40), strict=True)
+    ]
+    assert not stands(Standing(), both, imu(), 0.5)
+
+
 def test_frames_must_reach_back_over_the_window():
     assert not stands(Standing(), frames(n=8), imu(), 0.5)
 
@@ -58,8 +84,8 @@ def test_without_tracks_the_imu_decides():
 
 def test_flow_is_the_motion_between_the_means():
     f = frames(speed=0.1)
-    np.testing.assert_allclose(flow(f[:4], f[4:8]), 0.1 * 0.2 * np.sqrt(2.0), atol=1e-12)
-    assert flow(f[:2], []).size == 0
+    np.testing.assert_allclose(flow([f[:4], f[4:8]])[0], 0.1 * 0.2 * np.sqrt(2.0), atol=1e-12)
+    assert flow([f[:2], []])[0].size == 0
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.0, -3.0])

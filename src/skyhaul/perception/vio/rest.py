@@ -49,7 +49,8 @@ def rest_of(params: Standing, intake: Intake, state: NavState, covariance: Array
 
     The tracks must stand, and the IMU must: no rate but the bias, a steady force. Then velocity
     and acceleration of the estimate must not differ from zero by more than its covariance allows.
-    An estimate that does differ is overruled once tracks and IMU have stood for `certain_s`.
+    A velocity that does differ is overruled once tracks and IMU have stood for `certain_s` and no
+    acceleration contradicts: a vehicle that turns round slowly before a far wall has one.
 
     Args:
         params: Thresholds.
@@ -67,7 +68,9 @@ def rest_of(params: Standing, intake: Intake, state: NavState, covariance: Array
     if not stands(params, intake.frames, intake.imu, params.certain_s):
         return Rest.NO
     pieces = _pieces(params, intake.imu, intake.now_us, params.certain_s)
-    return Rest.DESPITE if _imu_rests(params, pieces, state, covariance) else Rest.NO
+    steady = _imu_rests(params, pieces, state, covariance)
+    certain = steady and _force_rests(params, params.certain_s, pieces, state, covariance)
+    return Rest.DESPITE if certain else Rest.NO
 
 
 def widened(state: NavState, covariance: Array) -> Array:
@@ -125,13 +128,20 @@ def _estimate_rests(
 ) -> bool:
     """Whether velocity and acceleration are zero within the covariance: chi-square, 3 dof each."""
     speed = covariance[V, V] + params.speed_sigma_mps**2 * np.eye(3)
-    if not _small(state.v_WI, speed):
-        return False
+    return _small(state.v_WI, speed) and _force_rests(
+        params, params.window_s, pieces, state, covariance
+    )
+
+
+def _force_rests(
+    params: Standing, span_s: float, pieces: list[_Piece], state: NavState, covariance: Array
+) -> bool:
+    """Whether the mean force over a time is gravity's, as far as tilt and bias are known."""
     R_WI = quat_to_R(state.q_WI)
     force = np.mean([p.accel_I for p in pieces], axis=0) - state.accel_bias
     H = np.zeros((3, NE))
     H[:, R], H[:, BA] = -R_WI @ hat(force), -R_WI
-    shorter = params.init_s / params.window_s
+    shorter = params.init_s / span_s
     noise = shorter * params.force_sigma_mps2**2 * np.eye(3)
     return _small(R_WI @ force + GRAVITY_W, H @ covariance @ H.T + noise)
 

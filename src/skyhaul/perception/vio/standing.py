@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Does the vehicle stand? And what an IMU that stands says of gravity and biases."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,9 +10,23 @@ import numpy as np
 from skyhaul.geometry.quaternion import R_to_quat
 from skyhaul.geometry.so3 import hat, rotation_z, so3_exp
 from skyhaul.params import Params
-from skyhaul.perception.vio.api import BA, BG, NE, NavState, P, R, StartPose, TrackFrame, V
+from skyhaul.perception.vio.api import (
+    BA,
+    BG,
+    MOST_CAMERAS,
+    NE,
+    NavState,
+    P,
+    R,
+    StartPose,
+    TrackFrame,
+    V,
+)
 from skyhaul.sensors.api import ImuReading
 from skyhaul.types import GRAVITY_MPS2, US_PER_S, Array, IntArray
+
+PIECE_S = 0.5
+"""Least time over which the place of a track is averaged, where the window is longer [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +39,7 @@ class Standing(Params):
     """Motion from the first half of that time to the second that counts as none, in the
     normalised image."""
     share: float = 0.4
-    """Share of the tracks that must not move; the others may be outliers."""
+    """Share of a camera's tracks that must not move; the others may be outliers."""
     least_tracks: int = 6
     """Tracks that must be seen in both halves; with fewer the IMU alone decides."""
     gyro_std_rad_s: float = 0.01
@@ -59,8 +74,11 @@ def stands(
 ) -> bool:
     """Whether nothing moved in a window that ends with the last frame.
 
-    The tracks decide: rotors shake an IMU that stands. Where a track was on average in the first
-    half is held against where it was in the second; averages take the noise out.
+    The tracks decide: rotors shake an IMU that stands. Where a track was on average in a piece of
+    the window is held against where it was in the others; averages take the noise out. Pieces last
+    half a second at least. Two would be too few for a long window: a vehicle that turns round is
+    in the second half where it was in the first. Each camera with enough tracks must say so: what
+    one sees may be far away.
 
     Args:
         params: Thresholds.
@@ -72,25 +90,36 @@ def stands(
     begin_us = now_us - round(window_s * US_PER_S)
     if frames[0].stamp_us > begin_us:
         return False
-    middle_us = now_us - round(0.5 * window_s * US_PER_S)
-    early = [f for f in frames if begin_us <= f.stamp_us <= middle_us]
-    late = [f for f in frames if f.stamp_us > middle_us]
-    moved = flow(early, late)
-    if len(moved) >= params.least_tracks:
-        return float(np.quantile(moved, params.share)) <= params.flow
-    return _imu_quiet(params, imu, begin_us)
+    count = max(2, int(window_s / PIECE_S))
+    edges = now_us - np.round(np.linspace(window_s, 0.0, count + 1) * US_PER_S).astype(np.int64)
+    pieces = [
+        [f for f in frames if a < f.stamp_us <= b or f.stamp_us == begin_us == a]
+        for a, b in itertools.pairwise(edges.tolist())
+    ]
+    moved, camera = flow(pieces)
+    if len(moved) < params.least_tracks:
+        return _imu_quiet(params, imu, begin_us)
+    seen = [moved[camera == c] for c in np.unique(camera)]
+    full = [m for m in seen if len(m) >= params.least_tracks] or [moved]
+    return all(float(np.quantile(m, params.share)) <= params.flow for m in full)
 
 
-def flow(early: Sequence[TrackFrame], late: Sequence[TrackFrame]) -> Array:
-    """Motion of each track that all frames share, from the mean of some to that of others, (k,)."""
-    shared = early[0].sight_id if early else np.zeros(0, dtype=np.int64)
-    for frame in [*early, *late]:
+def flow(pieces: Sequence[Sequence[TrackFrame]]) -> tuple[Array, IntArray]:
+    """Motion of each track that all frames share, and its camera, (k,) each.
+
+    The motion is the most between its means in two pieces.
+    """
+    none = np.zeros(0, dtype=np.int64)
+    if not all(pieces):
+        return np.zeros(0), none
+    shared = pieces[0][0].sight_id
+    for frame in itertools.chain.from_iterable(pieces):
         shared = np.intersect1d(shared, frame.sight_id, assume_unique=True)
-    if not late or not len(shared):
-        return np.zeros(0)
-    shift = _mean_of(early, shared) - _mean_of(late, shared)
-    moved: Array = np.linalg.norm(shift, axis=1)
-    return moved
+    if not len(shared):
+        return np.zeros(0), none
+    means = [_mean_of(piece, shared) for piece in pieces]
+    moved = [np.linalg.norm(a - b, axis=1) for a, b in itertools.combinations(means, 2)]
+    return np.max(moved, axis=0), shared % MOST_CAMERAS
 
 
 def _mean_of(frames: Sequence[TrackFrame], tracks: IntArray) -> Array:
