@@ -105,7 +105,7 @@ def match(rules: ClosureRules, old: Descriptors, now: Descriptors) -> tuple[IntA
     rows = []
     for first, second in matcher.knnMatch(old, now, k=2):
         mutual = best.get(first.trainIdx) == first.queryIdx
-        clear = first.distance <= rules.ratio * second.distance
+        clear = first.distance < rules.ratio * second.distance
         if mutual and clear and first.distance <= rules.most_bits:
             rows.append((first.queryIdx, first.trainIdx))
     pairs = np.array(rows, dtype=np.int64).reshape(-1, 2)

@@ -21,12 +21,17 @@ from skyhaul.geometry.quaternion import R_to_quat, quat_mul, quat_to_R
 from skyhaul.geometry.so3 import hat, so3_log
 from skyhaul.params import Params
 from skyhaul.perception.slam.closure import Closure, ClosureRules, close
-from skyhaul.perception.slam.places import Place, corners_of, points_of
+from skyhaul.perception.slam.places import NO_CORNERS, Place, corners_of, points_of
 from skyhaul.perception.slam.pose_graph import Relation, correction, optimize_poses
 from skyhaul.perception.slam.words import PlaceIndex, train_words
 from skyhaul.perception.vio.api import CameraRig, NavState, VioEstimate, VioStatus
 from skyhaul.perception.vio.front_end import Followed
 from skyhaul.types import US_PER_S, Array
+
+LEARN_FROM = 1500
+"""Descriptors from which words are learnt, about."""
+LEAST_M, LEAST_RAD = 2e-3, 3e-4
+"""Least standard deviation of the odometry from keyframe to keyframe."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +70,7 @@ class LoopRules(Params):
     drift_sigmas: float = 4.0
     """... and so many standard deviations of the odometry since."""
     agree_m: float = 0.1
-    """Loops of successive keyframes must agree within this [m] ..."""
+    """Loops of successive keyframes must agree within this and the odometry's drift [m] ..."""
     agree_deg: float = 2.0
     """... and this [deg]."""
     most_places: int = 4000
@@ -162,9 +167,13 @@ class LoopCloser:
         place = Place(
             estimate.stamp_us, R_WI, x.p_WI.copy(), covariance, corners, points, descriptor
         )
-        memory = self._learn(self._appended(memory, place))
+        return self.add(memory, place)
+
+    def add(self, memory: LoopMemory, place: Place) -> LoopMemory:
+        """Add a place, look for it among those before, close the loop."""
+        memory = self._appended(memory, place)
         found = self._recognise(memory, place)
-        return self._closed(memory, found)
+        return self._closed(self._learn(memory), found)
 
     def _appended(self, memory: LoopMemory, place: Place) -> LoopMemory:
         """The map with one more place, joined to the one before by the odometry."""
@@ -181,16 +190,23 @@ class LoopCloser:
         )
 
     def _learn(self, memory: LoopMemory) -> LoopMemory:
-        """Put the newest place into the index; make the index once there are enough."""
-        if memory.index is not None:
-            return replace(memory, index=memory.index.add(memory.places[-1].corners.descriptor))
-        seen = [p.corners.descriptor for p in memory.places]
+        """Put the newest place into the index; make the index once there are enough.
+
+        What a place looks like is in the index then, and is no longer kept itself.
+        """
+        index, places = memory.index, memory.places
+        if index is not None:
+            index = index.add(places[-1].corners.descriptor)
+            return replace(memory, index=index, places=(*places[:-1], _indexed(places[-1])))
+        seen = [p.corners.descriptor for p in places]
         if len(seen) < self.rules.learn_from or not sum(map(len, seen)):
             return memory
-        index = PlaceIndex(train_words(np.concatenate(seen), self.rules.words, seed=0))
+        every = max(1, sum(map(len, seen)) // LEARN_FROM)
+        words = train_words(np.concatenate(seen)[::every], self.rules.words, seed=0, rounds=4)
+        index = PlaceIndex(words)
         for rows in seen:
             index = index.add(rows)
-        return replace(memory, index=index)
+        return replace(memory, index=index, places=tuple(_indexed(p) for p in places))
 
     def _recognise(self, memory: LoopMemory, now: Place) -> Found | None:
         """The place of before that is most alike and stands all checks."""
@@ -209,21 +225,33 @@ class LoopCloser:
 
     def _possible(self, memory: LoopMemory, i: int, closure: Closure) -> bool:
         """Whether the odometry may have drifted as far as a closure says."""
-        j, rules = len(memory.places) - 1, self.rules
+        j = len(memory.places) - 1
         p_M = memory.graph_p[i] + memory.graph_R[i] @ closure.p
-        grown = memory.places[j].covariance[:3, :3] - memory.places[i].covariance[:3, :3]
-        sigma = math.sqrt(max(float(np.trace(grown)), 0.0))
         off = float(np.linalg.norm(p_M - memory.graph_p[j]))
-        return off <= rules.drift_m + rules.drift_sigmas * sigma
+        return off <= self.rules.drift_m + self._drift_m(memory, i, j)
+
+    def _drift_m(self, memory: LoopMemory, i: int, j: int) -> float:
+        """How far the odometry may have drifted from place i to j, by its own covariance [m]."""
+        grown = memory.places[j].covariance[:3, :3] - memory.places[i].covariance[:3, :3]
+        return self.rules.drift_sigmas * math.sqrt(max(float(np.trace(grown)), 0.0))
 
     def _closed(self, memory: LoopMemory, found: Found | None) -> LoopMemory:
-        """Close the loop when the keyframe before saw the same; else wait for the next."""
+        """Close the loop when the keyframe before saw the same; else wait for the next.
+
+        The graph is solved from where the closures put their keyframes: from further off, their
+        robust kernel would leave them no weight.
+        """
         before = memory.waiting
         if found is None or before is None or not self._agree(memory, before, found):
             return replace(memory, waiting=found)
         loops = (*memory.loops, before.loop, found.loop)
         loops = tuple({(r.i, r.j): r for r in loops}.values())
-        R, p = optimize_poses((memory.graph_R, memory.graph_p), memory.odometry, loops)
+        R, p = memory.graph_R.copy(), memory.graph_p.copy()
+        for seen in (before, found):
+            place = memory.places[seen.loop.j]
+            R[seen.loop.j] = seen.R_MW @ place.R_WI
+            p[seen.loop.j] = seen.R_MW @ place.p_WI + seen.p_MW
+        R, p = optimize_poses((R, p), memory.odometry, loops)
         last = memory.places[-1]
         R_MW, p_MW = correction((last.R_WI, last.p_WI), (R[-1], p[-1]))
         return replace(
@@ -235,7 +263,8 @@ class LoopCloser:
         here = memory.places[-1].p_WI
         off = (a.R_MW @ here + a.p_MW) - (b.R_MW @ here + b.p_MW)
         turn = float(np.linalg.norm(so3_log(a.R_MW.T @ b.R_MW)))
-        near = float(np.linalg.norm(off)) <= self.rules.agree_m
+        most = self.rules.agree_m + self._drift_m(memory, a.loop.j, b.loop.j)
+        near = float(np.linalg.norm(off)) <= most
         return near and turn <= math.radians(self.rules.agree_deg)
 
 
@@ -265,10 +294,6 @@ def _between(rules: LoopRules, i: int, a: Place, b: Place) -> Relation:
     return Relation(i, i + 1, R_ab, p_ab, Q + np.diag(np.repeat(least**2 + drift**2 * way, 3)))
 
 
-LEAST_M, LEAST_RAD = 2e-3, 3e-4
-"""Least standard deviation of the odometry from keyframe to keyframe."""
-
-
 def _in_body(place: Place) -> Array:
     """Covariance of a place's error (p, R), both in axes of the body."""
     turn = np.eye(6)
@@ -284,3 +309,8 @@ def _found(memory: LoopMemory, i: int, j: int, closure: Closure) -> Found:
     now = memory.places[j]
     R_MW, p_MW = correction((now.R_WI, now.p_WI), (R_M, p_M))
     return Found(Relation(i, j, closure.R, closure.p, closure.covariance), R_MW, p_MW)
+
+
+def _indexed(place: Place) -> Place:
+    """A place without what the index holds of it."""
+    return replace(place, corners=NO_CORNERS)

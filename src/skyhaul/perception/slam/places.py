@@ -31,6 +31,9 @@ class Corners:
         frozen(self.camera, self.xy, self.descriptor)
 
 
+NO_CORNERS = Corners(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 32), np.uint8))
+
+
 @dataclass(frozen=True, eq=False)
 class Place:
     """A keyframe: its pose in the odometry's frame, what it looks like, points it can be found by.
@@ -74,7 +77,7 @@ def corners_of(
         xy.append(rays[good, :2] / rays[good, 2:])
         descriptor.append(rows[good])
     if not camera:
-        return Corners(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 32), np.uint8))
+        return NO_CORNERS
     return Corners(np.concatenate(camera), np.concatenate(xy), np.concatenate(descriptor))
 
 
