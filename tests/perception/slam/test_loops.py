@@ -57,7 +57,7 @@ def place_of(world, stamp_us, true, held, rng, sigma=1e-4):
     known = rng.permutation(np.unique(rows))[:60]
     R_held, p_held = held
     return Place(
-        stamp_us, R_held, p_held, sigma * np.eye(6), corners,
+        stamp_us, R_held, p_held, np.diag(np.repeat([sigma, 1e-4], 3)), corners,
         i[known] + 0.02 * rng.normal(size=(len(known), 3)), names[known],
     )  # fmt: skip
 
