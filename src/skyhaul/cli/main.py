@@ -173,6 +173,11 @@ def _add_vio(vio: argparse.ArgumentParser) -> None:
         help="estimator (default: smoother)",
     )
     vio.add_argument(
+        "--loops",
+        action="store_true",
+        help="close loops where a place is seen again; EuRoC folders only",
+    )
+    vio.add_argument(
         "--align",
         choices=("se3", "sim3", "none"),
         default="se3",

@@ -18,11 +18,12 @@ from skyhaul.evaluation.trajectory_error import (
     trajectory_error,
 )
 from skyhaul.evaluation.trajectory_file import read_trajectory, write_tum
+from skyhaul.perception.slam.loops import LoopMemory, LoopRules, on_map
 from skyhaul.perception.vio.api import Memory, StartPose, VioEstimate, VioEstimator, VioStatus
 from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.euroc import read_euroc
 from skyhaul.perception.vio.front_end import FrontEnd
-from skyhaul.perception.vio.recording import Recording
+from skyhaul.perception.vio.recording import Recording, Views
 from skyhaul.perception.vio.smoother import SmootherVio
 from skyhaul.perception.vio.track_file import read_track_file
 from skyhaul.perception.vio.warm_up import warm_up
@@ -39,6 +40,9 @@ class Played:
     trajectory: Trajectory
     duration_s: float
     cpu_s: float
+    mapped: Trajectory | None = None
+    """On the map with its loops closed as they were seen; None without `--loops`."""
+    loops: int = 0
 
 
 def vio(args: argparse.Namespace) -> int:
@@ -46,16 +50,26 @@ def vio(args: argparse.Namespace) -> int:
     truth = None if args.truth is None else read_trajectory(args.truth)
     recording = open_recording(args.dataset, args.sigma_px)
     kind = KINDS[args.kind]()
-    played = play(kind.build(recording.rig, recording.sigma), recording)
+    if args.loops and recording.images is None:
+        raise FileError(
+            f"{args.dataset}: loops are closed by images, this file has tracks alone; give an "
+            f"EuRoC folder, or leave --loops out"
+        )
+    loops = LoopRules() if args.loops else None
+    played = play(kind.build(recording.rig, recording.sigma), recording, loops)
     if not played.trajectory.time_ns.size:
         raise FileError(
             f"{args.dataset}: no state was found in {played.duration_s:.1f} s; the recording must "
             f"begin at rest for {kind.beginning.standing.init_s:g} s or move enough to show depth"
         )
-    error = None if truth is None else score(played.trajectory, truth, args)
+    best = played.mapped or played.trajectory
+    error = None if truth is None else score(best, truth, args)
     if args.out is not None:
-        write_tum(args.out, played.trajectory)
+        write_tum(args.out, best)
     summary = summarize(played, error)
+    if played.mapped is not None:
+        alone = None if truth is None else score(played.trajectory, truth, args).ate_m
+        summary |= {"loops": played.loops, "ate_without_loops_m": _plain(alone)}
     about = {"dataset": str(args.dataset), "kind": args.kind}
     if args.json:
         print(json.dumps(about | summary, indent=2))
@@ -77,23 +91,41 @@ def open_recording(path: Path, sigma_px: float) -> Recording:
     return read_track_file(path, sigma_px)
 
 
-def play(estimator: VioEstimator[Memory], recording: Recording) -> Played:
+def play(
+    estimator: VioEstimator[Memory], recording: Recording, loops: LoopRules | None = None
+) -> Played:
     """Feed a recording to an estimator; its kernels are compiled before the clock starts."""
     warm_up(recording.rig)
-    memory, estimates = estimator.init(StartPose()), []
+    closer = None
+    if loops is not None and recording.images is not None:
+        closer = loops.build(recording.rig, recording.images.lenses)
+    none: Views = ()
+    frames = recording.views() if closer else ((i, f, none) for i, f in recording.readings())
+    memory, places, estimates, rows = estimator.init(StartPose()), LoopMemory(), [], []
     began = time.process_time()
-    for imu, tracks in recording.readings():
+    for imu, tracks, views in frames:
         memory, estimate = estimator.step(memory, imu, tracks)
         estimates.append(estimate)
+        if estimate.state is None:
+            continue
+        if closer is not None and closer.due(places, estimate):
+            places = closer.step(places, estimate, views, estimator.landmarks(memory))
+        state = estimate.state
+        time_ns = recording.epoch_ns + 1000 * estimate.stamp_us
+        rows.append((time_ns, state.p_WI, state.q_WI, *on_map(places, state)))
     cpu_s = time.process_time() - began
-    states = [(e.stamp_us, e.state) for e in estimates if e.state is not None]
-    trajectory = Trajectory(
-        np.array([recording.epoch_ns + 1000 * t for t, _ in states], dtype=np.int64),
-        np.array([s.p_WI for _, s in states]).reshape(-1, 3),
-        np.array([s.q_WI for _, s in states]).reshape(-1, 4),
+    stamps = np.array([r[0] for r in rows], dtype=np.int64)
+    alone, mapped = (
+        Trajectory(
+            stamps,
+            np.array([r[k] for r in rows]).reshape(-1, 3),
+            np.array([r[k + 1] for r in rows]).reshape(-1, 4),
+        )
+        for k in (1, 3)
     )
     duration_s = (estimates[-1].stamp_us - estimates[0].stamp_us) / US_PER_S
-    return Played(tuple(estimates), trajectory, duration_s, cpu_s)
+    on = mapped if closer is not None else None
+    return Played(tuple(estimates), alone, duration_s, cpu_s, on, len(places.loops))
 
 
 def score(trajectory: Trajectory, truth: Trajectory, args: argparse.Namespace) -> TrajectoryError:
@@ -148,6 +180,10 @@ def print_summary(summary: dict[str, object]) -> None:
         f"{s['frames_lost']} lost"
     )
     print(f"{'CPU time':<18}{s['cpu_s']} s, {s['real_time_factor']} times real time")
+    if "loops" in s:
+        without = s["ate_without_loops_m"]
+        beside = "" if without is None else f"; ATE without them {without} m RMS"
+        print(f"{'loops':<18}{s['loops']} closed{beside}")
     if s["ate_m"] is None:
         print(f"{'error':<18}not known: give --truth FILE")
         return

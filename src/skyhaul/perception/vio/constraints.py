@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a track says of the clones that saw it, its point eliminated (multi-state constraint)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -109,6 +110,39 @@ def standing_constraint(
     residual, H, by_point = _linear(filter_, track, params, sigma, poses, p_WC + params.far_m * ray)
     basis = _without(by_point @ R_WC[:, :2])
     return basis.T @ residual, basis.T @ H
+
+
+Constraint = tuple[Array, Array]
+"""Residual (r,) of a track in standard deviations, and its derivative by the state (r, n)."""
+
+
+def agreeing(
+    filter_: CloneFilter, constraints: Sequence[Constraint], gate: float
+) -> list[Constraint]:
+    """Those that agree with the update that they make together.
+
+    While a filter is unsure each passes its gate alone, sliding tracks too; together they cannot
+    all be right. The worst quarter of those that the update leaves off is dropped, and it is made
+    anew.
+
+    Args:
+        filter_: Before the update.
+        constraints: Of the tracks that passed the gate.
+        gate: Share of good tracks whose residual after the update is taken for noise.
+    """
+    kept = list(constraints)
+    while len(kept) > 2:
+        residual, H = np.concatenate([r for r, _ in kept]), np.vstack([H for _, H in kept])
+        S = H @ filter_.covariance @ H.T + np.eye(len(residual))
+        error = filter_.covariance @ (H.T @ np.linalg.solve(S, residual))
+        left = [r - H @ error for r, H in kept]
+        off = np.array([r @ r / chdtri(len(r), 1.0 - gate) for r in left])
+        wrong = np.flatnonzero(off > 1.0)
+        if not len(wrong):
+            break
+        worst = wrong[np.argsort(-off[wrong], kind="stable")][: max(1, len(kept) // 4)]
+        kept = [c for k, c in enumerate(kept) if k not in worst]
+    return kept
 
 
 def _without(columns: Array) -> Array:

@@ -34,6 +34,7 @@ from skyhaul.perception.vio.clones import (
 )
 from skyhaul.perception.vio.constraints import (
     ClonedTrack,
+    agreeing,
     point_of,
     standing_constraint,
     track_constraint,
@@ -248,21 +249,17 @@ class EkfEstimator:
         self, filter_: CloneFilter, tracks: Sequence[ClonedTrack]
     ) -> tuple[CloneFilter, int, int]:
         """Update with the tracks that pass; how many did and how many did not."""
-        rows, residuals, rejected = [], [], 0
+        found = []
         for track in tracks:
-            if len(track.k) < self.params.least_sights:
-                continue
-            constraint = track_constraint(filter_, self.rig, track, self.params, self.sigma)
-            if constraint is None:
-                continue
-            if not self._passes(filter_, *constraint):
-                rejected += 1
-                continue
-            residuals.append(constraint[0])
-            rows.append(constraint[1])
-        if rows:
-            filter_ = correct(filter_, np.concatenate(residuals), np.vstack(rows), 1.0)
-        return filter_, len(rows), rejected
+            if len(track.k) >= self.params.least_sights:
+                c = track_constraint(filter_, self.rig, track, self.params, self.sigma)
+                if c is not None:
+                    found.append(c)
+        good = agreeing(filter_, [c for c in found if self._passes(filter_, *c)], self.params.gate)
+        if good:
+            residual, H = np.concatenate([r for r, _ in good]), np.vstack([H for _, H in good])
+            filter_ = correct(filter_, residual, H, 1.0)
+        return filter_, len(good), len(found) - len(good)
 
     def _hold(self, filter_: CloneFilter, tracks: Sequence[ClonedTrack]) -> tuple[CloneFilter, int]:
         """Update with tracks that are not ripe, if most of them agree with the filter; how many.

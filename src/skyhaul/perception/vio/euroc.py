@@ -17,7 +17,7 @@ from skyhaul.perception.vio.api import CameraRig, TrackFrame
 from skyhaul.perception.vio.front_end import FrontEnd
 from skyhaul.perception.vio.imu import ImuNoise, segments
 from skyhaul.perception.vio.preintegration import preintegrate
-from skyhaul.perception.vio.recording import Recording
+from skyhaul.perception.vio.recording import Images, Recording, Views
 from skyhaul.sensors.api import CameraFrame, GreyImage, ImuReading
 from skyhaul.types import Array
 
@@ -62,10 +62,14 @@ def read_euroc(folder: Path, sigma_px: float, front_end: FrontEnd) -> Recording:
     )
     focal_px = float(np.mean([c.model.focal_px for c in cameras]))
 
-    def frames() -> Iterator[TrackFrame]:
+    def views() -> Iterator[tuple[TrackFrame, Views]]:
         return _tracks(cameras, rig, reading, epoch_ns, front_end)
 
-    return Recording(rig, reading, frames, sigma_px / focal_px, epoch_ns)
+    def frames() -> Iterator[TrackFrame]:
+        return (frame for frame, _ in views())
+
+    images = Images(tuple(c.model.arrays() for c in cameras), views)
+    return Recording(rig, reading, frames, sigma_px / focal_px, epoch_ns, images)
 
 
 def _tracks(
@@ -74,7 +78,7 @@ def _tracks(
     imu: ImuReading,
     epoch_ns: int,
     front_end: FrontEnd,
-) -> Iterator[TrackFrame]:
+) -> Iterator[tuple[TrackFrame, Views]]:
     tracker = front_end.build([c.model for c in cameras], rig)
     memory, last_us, zero = tracker.init(), None, np.zeros(3)
     noise = ImuNoise().densities()
@@ -86,7 +90,7 @@ def _tracks(
         frames = [CameraFrame(now_us, c, _image(file, cameras[c])) for c, file in files]
         memory, tracks = tracker.step(memory, frames, now_us, turn)
         last_us = now_us
-        yield tracks
+        yield tracks, memory.cameras
 
 
 def _together(cameras: Sequence[CameraFolder]) -> Iterator[tuple[int, list[tuple[int, Path]]]]:
