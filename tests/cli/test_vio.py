@@ -137,6 +137,13 @@ def test_the_table_names_alignment_and_pairs(folder, capsys):
     assert "pairs" in text
 
 
+def test_loops_need_images_not_tracks_alone(folder, capsys):
+    assert main(["vio", str(folder / "tracks.csv"), "--loops"]) == 1
+    text = capsys.readouterr().err
+    assert "loops are closed by images" in text
+    assert text.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -12,6 +12,7 @@ from simulated_tracks import rig_of
 
 from skyhaul.geometry.quaternion import quat_exp, quat_rotate
 from skyhaul.geometry.so3 import hat, so3_exp
+from skyhaul.perception.slam.pose_graph import Relation, optimize_poses
 from skyhaul.perception.vio.api import NE, NavState
 from skyhaul.perception.vio.clones import clone, correct, start_filter
 from skyhaul.perception.vio.constraints import sight_derivatives
@@ -87,6 +88,22 @@ def test_the_essential_matrix_is_t_cross_r():
     R_ab, p_ab, _ = relative_pose(*seen, 1e-4, 8)
     np.testing.assert_allclose(R_ab, R.T, atol=1e-6)
     np.testing.assert_allclose(p_ab, -R.T @ t / np.linalg.norm(t), atol=1e-6)
+
+
+def test_a_relation_of_poses_has_no_error_where_both_are_right_wherever_the_world_is():
+    rng = np.random.default_rng(46)
+    R = np.array([so3_exp(v) for v in rng.uniform(-1.0, 1.0, (3, 3))])
+    p = rng.uniform(-2.0, 2.0, (3, 3))
+    G, g = so3_exp(np.array([0.3, -0.4, 0.9])), np.array([3.0, 1.0, -2.0])
+    relations = [
+        Relation(i, j, R[i].T @ R[j], R[i].T @ (p[j] - p[i]), 1e-4 * np.eye(6))
+        for i, j in ((0, 1), (1, 2))
+    ]
+    for R_W, p_W in ((R, p), (G @ R, p @ G.T + g)):
+        off = p_W + [[0.0] * 3, [0.1, 0.0, -0.1], [0.0, 0.2, 0.1]]
+        back_R, back_p = optimize_poses((R_W, off), relations, ())
+        np.testing.assert_allclose(back_R, R_W, atol=1e-6)
+        np.testing.assert_allclose(back_p, p_W, atol=1e-6)
 
 
 def test_the_filter_corrects_in_the_tangent_space_and_keeps_its_covariance_symmetric():

@@ -227,6 +227,14 @@ def test_a_folder_of_images_is_followed_within_centimetres(folder, capsys, kind)
     assert figures["frames_lost"] == 0
 
 
+def test_where_no_place_is_seen_again_the_map_is_the_odometry(folder, capsys):
+    truth = ["--truth", str(folder / "truth.txt")]
+    assert main(["vio", str(folder), *truth, "--json", "--kind", "ekf", "--loops"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["loops"] == 0  # it is over before a place counts as left
+    assert figures["ate_m"] == pytest.approx(figures["ate_without_loops_m"], abs=1e-9)
+
+
 def test_a_folder_may_be_mav0_itself(folder):
     a, b = (read_euroc(p, 1.0, FrontEnd()) for p in (folder, folder / "mav0"))
     np.testing.assert_array_equal(a.imu.stamp_us, b.imu.stamp_us)
