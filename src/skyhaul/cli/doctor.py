@@ -33,7 +33,6 @@ PACKAGES = [
     "pyarrow",
     "plotly",
     "gtsam",
-    "opencv-contrib-python-headless",
     "av",
     "matplotlib",
 ]

@@ -15,12 +15,13 @@ def run_overrides(args: argparse.Namespace) -> list[str]:
     """Entries of `skyhaul run`: its own flags, then --set, which wins.
 
     Raises:
-        ConfigError: For `--perception full`: the odometry does not run inside a flight yet.
+        ConfigError: For `--perception full`: obstacles are not seen inside a flight yet.
     """
     if args.perception == "full":
         raise ConfigError(
-            "--perception full: the vehicles' own odometry does not run inside a flight yet; "
-            "fly with --perception truth"
+            "--perception full: obstacles are not seen by cameras inside a flight yet; fly with "
+            "--perception truth, or on own odometry with --set perception.team.kind=fused "
+            "perception.odometry.kind=ekf"
         )
     flags = []
     if args.trigger is not None:
