@@ -60,9 +60,10 @@ class FusedTeam(Params):
     """Its random walk [N/sqrt(s)]."""
     tilt_time_s: float = 5.0
     """Roll and pitch errors of odometry are correlated this long [s]."""
-    frame_walk_m_per_sqrt_s: float = 0.012
-    """Least random walk of a vehicle's frame: odometry's error changes by 4 mm from one rig frame
-    to the next, of which its covariance, that stays or shrinks, tells nothing [m/sqrt(s)]."""
+    frame_walk_m_per_sqrt_s: float = 0.006
+    """Least random walk of a vehicle's frame: odometry's error changes by 2 mm and more from one
+    rig frame to the next, of which its covariance, which may even shrink, tells nothing
+    [m/sqrt(s)]."""
     frame_walk_deg_per_sqrt_s: float = 0.02
     """Least random walk of its heading [deg/sqrt(s)]."""
     imu_noise_factor: float = 1.4

@@ -264,9 +264,10 @@ class EkfEstimator:
     def _hold(self, filter_: CloneFilter, tracks: Sequence[ClonedTrack]) -> tuple[CloneFilter, int]:
         """Update with tracks that are not ripe, if most of them agree with the filter; how many.
 
-        Two cameras place a point with little parallax; what one camera sees must stand.
+        Two cameras place a point with little parallax; what one camera sees must stand, and most of
+        it must: of a camera that moves among near points a few bearings stand by chance.
         """
-        p, found = self.params, []
+        p, found, others = self.params, [], 0
         for track in tracks:
             if len(set(track.camera)) > 1:
                 c = track_constraint(filter_, self.rig, track, p, self.sigma, p.stereo_rad)
@@ -274,8 +275,10 @@ class EkfEstimator:
                 c = standing_constraint(filter_, self.rig, track, p, self.sigma)
             if c is not None:
                 found.append(c)
+            else:
+                others += len(set(track.camera)) == 1
         good = [c for c in found if self._passes(filter_, *c)]
-        if len(good) < p.least_held or 2 * len(good) <= len(found):
+        if len(good) < p.least_held or 2 * len(good) <= len(found) + others:
             return filter_, 0
         residual, H = np.concatenate([r for r, _ in good]), np.vstack([H for _, H in good])
         return correct(filter_, residual, H, 1.0), len(good)
