@@ -100,7 +100,7 @@ def test_a_relation_of_poses_has_no_error_where_both_are_right_wherever_the_worl
         for i, j in ((0, 1), (1, 2))
     ]
     for R_W, p_W in ((R, p), (G @ R, p @ G.T + g)):
-        off = p_W + [[0.0] * 3, [0.1, 0.0, -0.1], [0.0, 0.2, 0.1]]
+        off = p_W + np.array([[0.0] * 3, [0.1, 0.0, -0.1], [0.0, 0.2, 0.1]])
         back_R, back_p = optimize_poses((R_W, off), relations, ())
         np.testing.assert_allclose(back_R, R_W, atol=1e-6)
         np.testing.assert_allclose(back_p, p_W, atol=1e-6)
