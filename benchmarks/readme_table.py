@@ -45,6 +45,18 @@ HEADLINES = {
     "event_camera": ("event camera against a DAVIS240: net count of each pixel",),
     "imu": ("IMU without noise: dead reckoning over 15 s, worst body and window",),
     "vio_tracks": ("EuRoC V1_01 clip, smoother, begun at rest: ATE (SE3, 581 pairs)",),
+    "vio_flights": (
+        "paper, ekf: ATE without alignment, worst vehicle",
+        "paper, ekf: seconds with mean NEES in 3 .. 9",
+        "paper, ekf: four vehicles together, median",
+    ),
+    "team_state_estimated": (
+        "`paper`, odometry estimated: load position RMSE, worst flight",
+        "`paper`, odometry estimated: cable direction RMS, worst flight",
+    ),
+    "loop_closure": (
+        "there and back, 60 m: final error over that without loops, RMS over the flights",
+    ),
     "run_speed": (
         "`skyhaul run paper --perception truth`, one core: simulated s / CPU s of the flight, "
         "median (range)",
