@@ -12,6 +12,7 @@ from skyhaul.sensors.api import ObjectReading, ObjectsReading
 
 from ..perception.obstacles.conftest import Swing  # noqa: TID252
 from ..perception.obstacles.sights import sight, watch  # noqa: TID252
+from ..perception.scene.conftest import Ball, scene, views  # noqa: TID252
 
 PERIOD_US = 20_000
 WALL, BALL = Box(size_m=(0.2, 3.0, 3.0)), Sphere(radius_m=0.2)
@@ -38,10 +39,18 @@ def event_sight(k, *, hidden=False):
     return sight([] if hidden else [ball], k + 1, rng)
 
 
+@cache
+def camera_views(k, *, hidden=False):
+    """Frame k of a ball nearer to the vehicle that looks to (1, 1)."""
+    balls = [] if hidden else [Ball((2.0, 1.4, 2.5), (0.0, 0.5, 0.0))]
+    return views(scene(), balls, k, rng=np.random.default_rng(k))
+
+
 TRUTH = [TruthObstacles(), TruthObstacles(confirm_readings=4, forget_s=0.3)]
 ESTIMATORS = {
     "truth-2": (TRUTH[0], reading, place),
     "truth-4": (TRUTH[1], reading, place),
+    "cameras": (scene(), camera_views, lambda t_us: np.array([2.0, 1.4 + 0.5e-6 * t_us, 2.5])),
     "events": (watch(), event_sight, lambda t_us: np.array([2.5, -0.3 + 0.5e-6 * t_us, 2.2])),
 }
 every_estimator = pytest.mark.parametrize(

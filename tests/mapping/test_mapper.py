@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from skyhaul.geometry.shapes import Box, Sphere
+from skyhaul.mapping.api import OccupancyGrid
 from skyhaul.mapping.mapper import Mapping, static_map
 from skyhaul.mapping.tubes import has_strayed, track_arrays
 from skyhaul.model.envelope import TeamShape
 from skyhaul.model.state import TeamState
-from skyhaul.perception.api import ObstacleEstimate, StaticObject, Track
+from skyhaul.perception.api import ObstacleEstimate, StandingVoxels, StaticObject, Track
 from skyhaul.world.scenario import MapFrame, Room
 
 SHAPE = TeamShape(radius_m=0.5, above_m=0.8, below_m=0.2)
@@ -59,6 +60,54 @@ def test_maps_built_step_by_step_equal_a_map_built_at_once():
     np.testing.assert_array_equal(last.static_clearance, at_once.static_clearance)
     whole = static_map(last.grid, SHAPE)
     np.testing.assert_array_equal(last.static_clearance, whole.static_clearance)
+
+
+def voxels(version, low, high, *boxes):
+    """Voxels that were seen: ranges that are occupied, and the range that changed."""
+    grid = MAPPER.step(MAPPER.init(), seen(), team_at())[1].grid
+    occupied = np.zeros(grid.occupied.shape, bool)
+    for a, b in boxes:
+        occupied[tuple(slice(i, j) for i, j in zip(a, b, strict=True))] = True
+    return StandingVoxels(
+        occupied, grid.p_WO.copy(), grid.voxel_m, version, np.array([low, high], np.int64)
+    )
+
+
+def test_voxels_that_are_seen_give_the_map_of_a_map_built_at_once():
+    a, b = ((10, 10, 10), (14, 14, 14)), ((40, 20, 30), (43, 24, 31))
+    first = voxels(1, *a, a)
+    second = voxels(2, (10, 10, 10), (43, 24, 31), b)
+    third = voxels(3, *a, a, b)
+    steps = fly(*(ObstacleEstimate(0, (), (), v) for v in (first, second, second, third)))
+    last, whole = steps[-1][0], static_map(OccupancyGrid(third.occupied, *_frame(third)), SHAPE)
+    np.testing.assert_array_equal(last.grid.occupied, third.occupied)
+    np.testing.assert_array_equal(last.static_clearance, whole.static_clearance)
+    assert [c.static_changed for _, c in steps] == [True, True, False, True]
+    np.testing.assert_allclose(
+        steps[-1][1].changed_min, third.p_WO + 0.1 * np.array(a[0]) - 0.05, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        steps[-1][1].changed_max, third.p_WO + 0.1 * np.array(a[1]) - 0.05, atol=1e-9
+    )
+
+
+def test_a_version_that_was_missed_costs_a_whole_field_and_no_error():
+    a, b = ((10, 10, 10), (14, 14, 14)), ((40, 20, 30), (43, 24, 31))
+    last = voxels(7, *b, a, b)
+    ((m, _),) = fly(ObstacleEstimate(0, (), (), last))
+    whole = static_map(OccupancyGrid(last.occupied, *_frame(last)), SHAPE)
+    np.testing.assert_array_equal(m.static_clearance, whole.static_clearance)
+
+
+def test_voxels_of_another_map_are_refused():
+    v = voxels(1, (0, 0, 0), (1, 1, 1))
+    wrong = replace(v, p_WO=v.p_WO + 0.03)
+    with pytest.raises(ValueError, match="those of the map"):
+        fly(ObstacleEstimate(0, (), (), wrong))
+
+
+def _frame(v):
+    return v.p_WO, v.voxel_m
 
 
 def test_a_static_change_tells_where_and_raises_the_version():

@@ -13,7 +13,7 @@ from skyhaul.mapping.voxels import cells_of, mark, shape_extent
 from skyhaul.model.envelope import TeamShape
 from skyhaul.model.state import TeamState
 from skyhaul.params import Params
-from skyhaul.perception.api import ObstacleEstimate, StaticObject, Track
+from skyhaul.perception.api import ObstacleEstimate, StandingVoxels, StaticObject, Track
 from skyhaul.types import Array, IntArray, TimeUs
 from skyhaul.world.scenario import MapFrame, Room
 
@@ -57,6 +57,7 @@ class MapperMemory:
     fine: StaticLayer | None = None
     coarse: StaticLayer | None = None
     statics: tuple[StaticObject, ...] = ()
+    voxels: StandingVoxels | None = None
     tracks: tuple[Track, ...] = ()
     planned: tuple[Track, ...] = ()  # tracks as the last plan knew them
     floor_exempt: Array | None = None  # (3,) x, y, radius [m]
@@ -86,11 +87,13 @@ class Mapper:
         """Take obstacles in; `team` is where the window rolls to and, at first, the column."""
         m = self._static_step(memory, obstacles.statics, team.p_WL)
         changed = m.version != memory.version
+        m, voxel_low, voxel_high = self._voxel_step(m, obstacles.voxels)
         before = {t.track_id for t in memory.tracks}
         now = {t.track_id for t in obstacles.tracks}
         low, high = _changed_region(
             memory.statics, obstacles.statics if changed else memory.statics
         )
+        low, high = np.minimum(low, voxel_low), np.maximum(high, voxel_high)
         planned = {t.track_id: t for t in memory.planned}
         strayed = tuple(
             t.track_id
@@ -138,6 +141,36 @@ class Mapper:
             coarse = self._redraw(coarse, differing, new)
         version = memory.version + (fine is not memory.fine)
         return replace(memory, fine=fine, coarse=coarse, statics=statics, version=version)
+
+    def _voxel_step(
+        self, m: MapperMemory, voxels: StandingVoxels | None
+    ) -> tuple[MapperMemory, Array, Array]:
+        """Voxels that were seen, where they are news; smallest and largest corner of those [m]."""
+        assert m.fine is not None
+        nowhere = np.full(3, np.inf), np.full(3, -np.inf)
+        old, grid = m.voxels, m.fine.grid
+        if voxels is None or (old is not None and old.version == voxels.version):
+            return m, *nowhere
+        same = voxels.occupied.shape == grid.occupied.shape
+        if not same or not np.allclose(voxels.p_WO, grid.p_WO, atol=1e-9):
+            raise ValueError("voxels that are seen must be those of the map")
+        n = np.array(grid.occupied.shape)
+        missed = old is None or voxels.version > old.version + 1
+        box = np.array([np.zeros(3, np.int64), n]) if missed else voxels.changed
+        if np.any(box[0] >= box[1]):
+            return replace(m, voxels=voxels), *nowhere
+        occupied, clearance = voxels.occupied.copy(), m.fine.clearance.copy()
+        for obj in m.statics:
+            mark(occupied, grid.p_WO, grid.voxel_m, obj, box)
+        grow = reach_cells(self.shape, self.params.truncation_m, grid.voxel_m)
+        region = np.array([np.maximum(box[0] - grow, 0), np.minimum(box[1] + grow, n)])
+        update_field(
+            clearance, occupied, self.shape, grid.voxel_m, self.params.truncation_m, region
+        )
+        fine = StaticLayer(OccupancyGrid(occupied, grid.p_WO, grid.voxel_m), clearance)
+        corner = grid.p_WO - 0.5 * grid.voxel_m
+        low, high = corner + grid.voxel_m * box[0], corner + grid.voxel_m * box[1]
+        return replace(m, fine=fine, voxels=voxels, version=m.version + 1), low, high
 
     def _redraw(
         self, layer: StaticLayer, differing: list[StaticObject], statics: Statics

@@ -13,6 +13,7 @@ from skyhaul.mission.triggers import EventTrigger, ReplanTriggers, SolveTrigger
 from skyhaul.params import Params
 from skyhaul.perception.obstacles.from_events import EventObstacles
 from skyhaul.perception.obstacles.truth import TruthObstacles
+from skyhaul.perception.scene.from_cameras import CameraObstacles
 from skyhaul.perception.team.fused import FusedTeam
 from skyhaul.perception.team.truth import TruthTeam
 from skyhaul.perception.vio.vehicle import VehicleVio
@@ -30,8 +31,11 @@ class PerceptionConfig(Params):
     odometry: ModelledOdometry | VehicleVio = field(default_factory=ModelledOdometry)
     """Own odometry of every vehicle, which `team.kind: fused` reads: `modelled`, or `ekf` or
     `smoother` on its own cameras and IMU."""
-    obstacles: TruthObstacles | EventObstacles = field(default_factory=TruthObstacles)
-    """Where the obstacles are; `events` runs over recorded events, not in a flight."""
+    obstacles: TruthObstacles | CameraObstacles | EventObstacles = field(
+        default_factory=TruthObstacles
+    )
+    """Where the obstacles are: exactly, or seen by the stereo pairs (`cameras`, which needs
+    `team.kind: fused`); `events` runs over recorded events, not in a flight."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +95,17 @@ class RunConfig(Scenario):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.sensors.check(self.team)
+        if self.perception.obstacles.kind == "cameras":
+            if self.perception.team.kind != "fused":
+                raise ValueError(
+                    "perception.obstacles: kind cameras needs perception.team of kind fused, whose "
+                    f"cameras it looks through, got {self.perception.team.kind}"
+                )
+            if self.world.map.window_m is not None:
+                raise ValueError(
+                    "perception.obstacles: kind cameras needs a map that stays, got world.map with "
+                    f"window_m {self.world.map.window_m}; leave window_m out or take kind truth"
+                )
         if self.perception.team.kind == "fused":
             if self.team.payload.kind != "rigid":
                 raise ValueError(

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyhaul.errors import ConfigError, DivergenceError, SkyhaulError
+from skyhaul.errors import DivergenceError, SkyhaulError
 from skyhaul.mission.api import Outcome, Phase, Recorder
 from skyhaul.mission.check import check_flight
 from skyhaul.mission.config import RunConfig
 from skyhaul.mission.crew import Crew
 from skyhaul.mission.hindrance import at_goal
 from skyhaul.mission.judge import FLYING_ON, Judge, Verdict
+from skyhaul.mission.looking import obstacle_look
 from skyhaul.mission.loop import cycle
 from skyhaul.mission.sensing import team_sensing
 from skyhaul.mission.setup import build_stack
@@ -22,13 +23,10 @@ from skyhaul.mission.ticks import TickMaker
 from skyhaul.mission.vehicle import Actuation, command_of
 from skyhaul.model.envelope import team_shape
 from skyhaul.perception.api import ObstacleEstimate, TeamEstimate
-from skyhaul.perception.obstacles.truth import TruthObstacles
 from skyhaul.plant.mujoco_plant import MujocoPlant
 from skyhaul.types import US_PER_S, Array, TimeUs
 from skyhaul.world.scenario import GoTo
 
-OBSTACLE_PERIOD_US = 20_000
-"""Time between two looks for obstacles, and two updates of M(t) [us]."""
 _PROGRESS_PERIOD_US = 100_000
 _JUDGE_PERIOD_US = 10_000
 
@@ -88,21 +86,6 @@ def _failed(reason: str) -> Verdict:
     return Verdict(over=True, success=False, reason=reason)
 
 
-def _on_truth(config: RunConfig) -> TruthObstacles:
-    """The estimator of obstacles of a flight.
-
-    Raises:
-        ConfigError: When it is one that a flight has no readings for.
-    """
-    obstacles = config.perception.obstacles
-    if not isinstance(obstacles, TruthObstacles):
-        raise ConfigError(
-            f"perception.obstacles.kind: {obstacles.kind} runs over recorded events only; a flight "
-            "takes kind truth"
-        )
-    return obstacles
-
-
 class Flight:
     """Everything that lives during one flight."""
 
@@ -116,11 +99,8 @@ class Flight:
         self._crew = Crew(build_stack(config), bus, recorder, self._watch)
         self._ticks = TickMaker(config.team)
         self._judge, self._judged = Judge(config), Judge(config).init()
-        self._shapes = tuple(o.shape for o in config.world.obstacles)
-        self._seen = config.sensors.objects.init(len(self._shapes))
         self._team = team_sensing(config, seed, self._truth, self._watch)
-        self._obstacles = _on_truth(config)
-        self._obstacle_memory = self._obstacles.init()
+        self._obstacles = obstacle_look(config, self._watch)
 
     def run(self, progress: ShowProgress | None) -> Verdict:
         """Cycle until the judge ends the flight, or the plant diverges."""
@@ -134,7 +114,7 @@ class Flight:
         while not verdict.over:
             t_us = self._truth.stamp_us
             with self._watch.stage("perception"):
-                estimate, obstacles = self._perceive(t_us)
+                estimate, obstacles = self._perceive()
             with self._watch.stage("agents"):
                 actuations = cycle(self._crew, t_us, estimate, obstacles)
                 command = command_of(actuations)
@@ -175,15 +155,10 @@ class Flight:
             wall_s=time.perf_counter() - self._began_s,
         )
 
-    def _perceive(self, t_us: TimeUs) -> tuple[TeamEstimate, ObstacleEstimate | None]:
+    def _perceive(self) -> tuple[TeamEstimate, ObstacleEstimate | None]:
         """p(t) and, when it is due, o(t)."""
-        sensors = self._config.sensors
         estimate = self._team.estimate(self._truth)
-        if t_us % OBSTACLE_PERIOD_US:
-            return estimate, None
-        self._seen, reading = sensors.objects.read(self._seen, self._truth, self._shapes)
-        self._obstacle_memory, obstacles = self._obstacles.step(self._obstacle_memory, reading)
-        return estimate, obstacles
+        return estimate, self._obstacles.look(self._truth, estimate, self._team.readings)
 
     def _actuate(self, actuations: list[Actuation], rotor_cmd: Array) -> None:
         for i, act in enumerate(actuations):

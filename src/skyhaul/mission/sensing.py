@@ -7,15 +7,20 @@ from skyhaul.mission.config import RunConfig
 from skyhaul.mission.odometers import odometers
 from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.perception.api import TeamEstimate
+from skyhaul.perception.scene.stereo import pair_of
 from skyhaul.perception.team.api import SurveyedTeam, TagSight, TeamReports, VehicleReport
 from skyhaul.perception.team.fused import FusedTeam
 from skyhaul.perception.team.tag import tag_finder
 from skyhaul.perception.team.truth import TruthTeam
 from skyhaul.plant.api import Truth
+from skyhaul.sensors.api import VehicleReading
 
 
 class TeamSensing(Protocol):
     """Sensors and estimator of the team in a flight. Stateful: there is one of it."""
+
+    readings: tuple[VehicleReading, ...]
+    """What the vehicles' sensors delivered in the last step; empty with perfect sensors."""
 
     def estimate(self, truth: Truth) -> TeamEstimate:
         """The estimate now; called at every step of the plant."""
@@ -26,6 +31,7 @@ class PerfectSensing:
     """Perfect sensors."""
 
     def __init__(self, config: RunConfig, estimator: TruthTeam) -> None:
+        self.readings: tuple[VehicleReading, ...] = ()
         self._sensors, self._estimator = config.sensors.team, estimator
         self._memory = estimator.init()
 
@@ -38,7 +44,8 @@ class PerfectSensing:
 class FusedSensing:
     """IMUs, cameras and every vehicle's odometry; hooks and rotors tell what they do exactly.
 
-    Modelled odometry needs the down cameras only; then the others are not rendered.
+    Modelled odometry needs the down cameras only, obstacles seen by cameras the stereo pairs;
+    cameras that nobody looks through are not rendered.
     """
 
     def __init__(
@@ -48,10 +55,11 @@ class FusedSensing:
         tag, n = sensors.tag(team), config.team.count
         assert tag is not None, "checked with the configuration"
         modelled = config.perception.odometry.kind == "modelled"
+        self.readings: tuple[VehicleReading, ...] = ()
         self._down = [c.name for c in sensors.rig.cameras].index("down")
         self._watch = watch
         self._read = sensors.team
-        looks = {"down"} if modelled else None
+        looks = _needed(config) if modelled else None
         self._suite = sensors.team_suite(team, config.world, looks, events=False)
         self._sensors = self._suite.init(seed)
         self._finder = tag_finder(tag)
@@ -67,6 +75,7 @@ class FusedSensing:
         """See `TeamSensing.estimate`."""
         with self._watch.stage("sensors"):
             self._sensors, payload, readings = self._suite.step(self._sensors, truth)
+        self.readings = readings
         with self._watch.stage("odometry"):
             vios = self._odometers.step(truth, readings, self._sensors.imus.bias[1:])
         known, vehicles = self._read.read(truth), []
@@ -80,6 +89,16 @@ class FusedSensing:
         reports = TeamReports(truth.stamp_us, tuple(vehicles), payload.imu)
         self._memory, estimate = self._estimator.step(self._memory, reports)
         return estimate
+
+
+def _needed(config: RunConfig) -> set[str]:
+    """Names of the cameras that somebody looks through, modelled odometry not being one."""
+    names = {"down"}
+    if config.perception.obstacles.kind == "cameras":
+        rig = config.sensors.calibration().rig
+        pair = pair_of(rig)
+        names |= {rig.cameras[k].name for k in pair} if pair is not None else set()
+    return names
 
 
 def team_sensing(config: RunConfig, seed: int, truth: Truth, watch: Stopwatch) -> TeamSensing:

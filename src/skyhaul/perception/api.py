@@ -76,12 +76,27 @@ class StaticObject:
 
 
 @dataclass(frozen=True, eq=False)
+class StandingVoxels:
+    """Voxels in which something stands, as cameras saw it; W axes."""
+
+    occupied: Mask  # (nx, ny, nz)
+    p_WO: Array  # (3,) centre of voxel (0, 0, 0) [m]
+    voxel_m: float
+    version: int  # rises whenever a voxel changes
+    changed: IntArray  # (2, 3) range that changed since the version before, first and one past last
+
+    def __post_init__(self) -> None:
+        frozen(self.occupied, self.p_WO, self.changed)
+
+
+@dataclass(frozen=True, eq=False)
 class ObstacleEstimate:
     """What stands and what moves around the team."""
 
     stamp_us: TimeUs
     statics: tuple[StaticObject, ...]  # every one known so far
     tracks: tuple[Track, ...]  # confirmed and alive
+    voxels: StandingVoxels | None = None  # what stands, where it is seen rather than told
 
 
 class TeamEstimator(Protocol[Memory, Reading]):

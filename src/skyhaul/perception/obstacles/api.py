@@ -8,7 +8,7 @@ import numpy as np
 
 from skyhaul.model.state import TeamState
 from skyhaul.perception.api import Track
-from skyhaul.sensors.api import EventReading, ImuReading
+from skyhaul.sensors.api import EventReading, GreyImage, ImuReading
 from skyhaul.types import Array, Mask, TimeUs, frozen
 
 Memory = TypeVar("Memory")
@@ -39,6 +39,33 @@ class TeamSight:
     team: TeamState
     attached: Mask  # (n,) cables that join a vehicle and the load
     vehicles: tuple[VehicleSight, ...]  # those that were heard; one that is silent is missing
+
+    def __post_init__(self) -> None:
+        frozen(self.attached)
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleView:
+    """Images of one vehicle's stereo pair, both of one time."""
+
+    vehicle: int
+    stamp_us: TimeUs
+    left: GreyImage
+    right: GreyImage
+    pose_covariance: Array  # (6, 6) of the vehicle's position [m] and attitude [rad], W axes
+
+    def __post_init__(self) -> None:
+        frozen(self.pose_covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class TeamViews:
+    """What the stereo pairs saw since the step before, and where everything is now."""
+
+    stamp_us: TimeUs
+    team: TeamState
+    attached: Mask  # (n,) cables that join a vehicle and the load
+    vehicles: tuple[VehicleView, ...]  # those with new images
 
     def __post_init__(self) -> None:
         frozen(self.attached)
