@@ -50,7 +50,7 @@ class PerfectLook:
 
 
 class CameraLook:
-    """The vehicles' stereo pairs. Images are read when they come, at the estimate of that time."""
+    """The vehicles' cameras. Images are read when they come, at the estimate of that time."""
 
     def __init__(self, config: RunConfig, kind: CameraObstacles, watch: Stopwatch) -> None:
         frame, room = config.world.map, config.world.room
@@ -85,16 +85,19 @@ class CameraLook:
         """Of each vehicle whose pair delivered both images of one time."""
         views = []
         for reading in readings:
-            found = {f.camera: f for f in reading.frames if f.camera in self._pair}
-            if len(found) == 2:
-                left, right = (found[k] for k in self._pair)
-                if left.stamp_us == right.stamp_us:
-                    cov = estimate.load_covariance[:6, :6].copy()
-                    views.append(
-                        VehicleView(
-                            reading.vehicle, estimate.stamp_us, left.image, right.image, cov
-                        )
-                    )
+            found = {f.camera: f for f in reading.frames}
+            left, right = (found.pop(k, None) for k in self._pair)
+            if left is None or right is None or left.stamp_us != right.stamp_us:
+                continue
+            cov = estimate.load_covariance[:6, :6].copy()
+            others = tuple(
+                (k, f.image) for k, f in sorted(found.items()) if f.stamp_us == left.stamp_us
+            )
+            views.append(
+                VehicleView(
+                    reading.vehicle, estimate.stamp_us, left.image, right.image, cov, others
+                )
+            )
         return views
 
 

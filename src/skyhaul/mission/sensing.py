@@ -7,7 +7,6 @@ from skyhaul.mission.config import RunConfig
 from skyhaul.mission.odometers import odometers
 from skyhaul.mission.stopwatch import Stopwatch
 from skyhaul.perception.api import TeamEstimate
-from skyhaul.perception.scene.stereo import pair_of
 from skyhaul.perception.team.api import SurveyedTeam, TagSight, TeamReports, VehicleReport
 from skyhaul.perception.team.fused import FusedTeam
 from skyhaul.perception.team.tag import tag_finder
@@ -44,8 +43,7 @@ class PerfectSensing:
 class FusedSensing:
     """IMUs, cameras and every vehicle's odometry; hooks and rotors tell what they do exactly.
 
-    Modelled odometry needs the down cameras only, obstacles seen by cameras the stereo pairs;
-    cameras that nobody looks through are not rendered.
+    Where odometry is modelled and obstacles are not seen, the down cameras alone are rendered.
     """
 
     def __init__(
@@ -59,7 +57,8 @@ class FusedSensing:
         self._down = [c.name for c in sensors.rig.cameras].index("down")
         self._watch = watch
         self._read = sensors.team
-        looks = _needed(config) if modelled else None
+        seeing = config.perception.obstacles.kind == "cameras"
+        looks = {"down"} if modelled and not seeing else None
         self._suite = sensors.team_suite(team, config.world, looks, events=False)
         self._sensors = self._suite.init(seed)
         self._finder = tag_finder(tag)
@@ -89,16 +88,6 @@ class FusedSensing:
         reports = TeamReports(truth.stamp_us, tuple(vehicles), payload.imu)
         self._memory, estimate = self._estimator.step(self._memory, reports)
         return estimate
-
-
-def _needed(config: RunConfig) -> set[str]:
-    """Names of the cameras that somebody looks through, modelled odometry not being one."""
-    names = {"down"}
-    if config.perception.obstacles.kind == "cameras":
-        rig = config.sensors.calibration().rig
-        pair = pair_of(rig)
-        names |= {rig.cameras[k].name for k in pair} if pair is not None else set()
-    return names
 
 
 def team_sensing(config: RunConfig, seed: int, truth: Truth, watch: Stopwatch) -> TeamSensing:

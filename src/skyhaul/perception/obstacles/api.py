@@ -46,13 +46,14 @@ class TeamSight:
 
 @dataclass(frozen=True, eq=False)
 class VehicleView:
-    """Images of one vehicle's stereo pair, both of one time."""
+    """Images of one vehicle, all of one time: of its stereo pair, and of its other cameras."""
 
     vehicle: int
     stamp_us: TimeUs
     left: GreyImage
     right: GreyImage
     pose_covariance: Array  # (6, 6) of the vehicle's position [m] and attitude [rad], W axes
+    others: tuple[tuple[int, GreyImage], ...] = ()  # index in the rig, image
 
     def __post_init__(self) -> None:
         frozen(self.pose_covariance)

@@ -48,6 +48,8 @@ class BirthRules(Params):
     """No obstacle is born farther from a camera than this [m]."""
     usual_radius_m: float = 0.2
     """Radius of an obstacle that one camera sees, the median [m]."""
+    pairs: bool = True
+    """Whether two rays that meet give birth, or ranges alone."""
     radius_spread: float = 0.4
     """Standard deviation of its ln; 0: one camera gives birth to nothing."""
     extent_sigma: float = 0.2
@@ -122,6 +124,8 @@ class BirthRules(Params):
         """Rows that may be one obstacle and where it is, best first: ranges, then pairs of rays."""
         ranged = np.flatnonzero(z.range_m > 0.0)
         found = [([int(i)], z.p_WC[i] + z.range_m[i] * z.axes[i, 2]) for i in ranged]
+        if not self.pairs:
+            return found
         s, middle, gap = closest_points(z)
         sigma = np.sqrt(z.variance[:, 0])
         error = s * sigma[:, None]

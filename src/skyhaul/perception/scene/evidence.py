@@ -136,6 +136,30 @@ def clear_ball(rules: EvidenceRules, e: Evidence, p_WP: Array, radius_m: float) 
 
 
 @njit
+def ray_is_blocked(e: Evidence, p_WC: Array, dir_W: Array, reach_m: float) -> bool:
+    """Whether a ray from the camera (3,) passes an occupied voxel, or one beside it, within reach.
+
+    Args:
+        e: The voxels.
+        p_WC: Where the ray begins, (3,) [m].
+        dir_W: Its direction, (3,), unit.
+        reach_m: How far it goes [m].
+    """
+    n, steps = e.occupied.shape, int(reach_m / (0.5 * e.voxel))
+    for s in range(steps):
+        t = 0.5 * e.voxel * s
+        i, j, k = _cell(e, p_WC[0] + t * dir_W[0], p_WC[1] + t * dir_W[1], p_WC[2] + t * dir_W[2])
+        if i < 1 or j < 1 or k < 1 or i + 1 >= n[0] or j + 1 >= n[1] or k + 1 >= n[2]:
+            continue
+        for a in range(-1, 2):
+            for b in range(-1, 2):
+                for c in range(-1, 2):
+                    if e.occupied[i + a, j + b, k + c]:
+                        return True
+    return False
+
+
+@njit
 def _cell(e: Evidence, x: float, y: float, z: float) -> tuple[int, int, int]:
     """Voxel of a point; the first entry is -1 outside."""
     i = math.floor((x - e.p_WO[0]) / e.voxel + 0.5)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`kind: cameras`: what stands and what moves, from the stereo pairs of the whole team."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -9,9 +10,11 @@ import numpy as np
 from skyhaul.model.team import Team
 from skyhaul.params import Params
 from skyhaul.perception.api import ObstacleEstimate, StandingVoxels, Track
-from skyhaul.perception.obstacles.api import Bearings, TeamViews
+from skyhaul.perception.obstacles.api import Bearings, TeamViews, VehicleView
+from skyhaul.perception.obstacles.births import BirthRules
 from skyhaul.perception.obstacles.motion import KalmanFilter
 from skyhaul.perception.obstacles.tracker import BearingTracker, TrackerMemory
+from skyhaul.perception.scene.backdrop import BackdropRules, BackdropWatch, Shot
 from skyhaul.perception.scene.evidence import Evidence, clear_ball, empty_evidence, forget_changes
 from skyhaul.perception.scene.stereo import StereoParams
 from skyhaul.perception.scene.watch import SceneWatch, ViewRules
@@ -31,18 +34,21 @@ class SceneMemory:
     drawn_us: TimeUs = 0  # when `voxels` were made
     seen: tuple[Bearings, ...] = ()  # since the tracker's last step
     tracks: tuple[Track, ...] = ()
+    shots: Mapping[tuple[int, int], Shot] = field(default_factory=dict)
+    """The last image of each vehicle and camera outside the pairs."""
 
 
 @dataclass(frozen=True, eq=False)
 class TeamScene:
     """The estimator at work; implements `ObstacleEstimator`.
 
-    Images are read as they come, the tracker steps once all vehicles have had their turn.
-    Limits: knows what the stereo pairs see, not what only the other cameras do.
+    Images are read as they come, the tracker steps once all vehicles have had their turn. Pairs
+    give voxels and bearings with ranges, the other cameras bearings of what hides the room.
     """
 
     params: "CameraObstacles"
     watches: tuple[SceneWatch, ...]  # by vehicle
+    backdrops: Mapping[tuple[int, int], BackdropWatch]  # by vehicle and camera
     p_WO: Array  # (3,) centre of voxel (0, 0, 0) [m]
     voxel_m: float
     cells: IntArray  # (3,)
@@ -68,12 +74,25 @@ class TeamScene:
                 m.evidence, m.frame, reading.team, reading.attached, view, m.tracks
             )
             m = replace(m, frame=m.frame + 1, seen=(*m.seen, bearings))
+            m = self._look_behind(m, reading, view)
         if now - m.tracked_us >= self.params.period_us and m.seen:
             m = self._track(m, now)
         changed = m.evidence.changed
         if np.all(changed[0] < changed[1]) and now - m.drawn_us >= self.params.voxel_period_us:
             m = replace(m, voxels=self._voxels(m), drawn_us=now)
         return m, ObstacleEstimate(now, (), m.tracks, m.voxels)
+
+    def _look_behind(self, m: SceneMemory, reading: TeamViews, view: VehicleView) -> SceneMemory:
+        """Compare the images of the other cameras with the room."""
+        shots, seen = dict(m.shots), list(m.seen)
+        for camera, image in view.others:
+            key = (view.vehicle, camera)
+            shots[key], bearings = self.backdrops[key].step(
+                shots.get(key), view.stamp_us, image, reading.team, reading.attached,
+                view.pose_covariance, m.evidence,
+            )  # fmt: skip
+            seen.append(bearings)
+        return replace(m, shots=shots, seen=tuple(seen))
 
     def _track(self, m: SceneMemory, now: TimeUs) -> SceneMemory:
         seen = tuple(replace(b, age_s=b.age_s + (now - b.stamp_us) / US_PER_S) for b in m.seen)
@@ -110,6 +129,7 @@ def _tracker() -> BearingTracker:
         confirm_hits=3,
         confirm_steps=4,
         confirm_alone=4,
+        births=BirthRules(pairs=False, radius_spread=0.0),
         coast_s=1.5,
     )
 
@@ -123,6 +143,8 @@ class CameraObstacles(Params):
     """From images to depth."""
     view: ViewRules = field(default_factory=ViewRules)
     """From depth to voxels and to what moves."""
+    backdrop: BackdropRules = field(default_factory=BackdropRules)
+    """How the other cameras' images are compared with the room."""
     tracker: BearingTracker = field(default_factory=_tracker)
     """From what moves to tracks."""
     tube_most_m: float = 0.7
@@ -154,4 +176,13 @@ class CameraObstacles(Params):
         """
         pair = self.stereo.build(calibration.rig)
         watches = tuple(SceneWatch(i, team, pair, self.view, room) for i in range(team.count))
-        return TeamScene(self, watches, p_WO, voxel_m, cells)
+        others = [k for k in range(len(calibration.rig.cameras)) if k not in pair.index]
+        backdrops = {
+            (i, k): BackdropWatch(
+                self.backdrop, i, (1 + others.index(k)) * team.count + i, team,
+                calibration.rig.cameras[k], room,
+            )
+            for i in range(team.count)
+            for k in others
+        }  # fmt: skip
+        return TeamScene(self, watches, backdrops, p_WO, voxel_m, cells)
