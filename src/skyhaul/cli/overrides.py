@@ -15,13 +15,14 @@ def run_overrides(args: argparse.Namespace) -> list[str]:
     """Entries of `skyhaul run`: its own flags, then --set, which wins.
 
     Raises:
-        ConfigError: For `--perception full`: obstacles are not seen inside a flight yet.
+        ConfigError: For `--perception full`: flights on cameras alone are not safe yet.
     """
     if args.perception == "full":
         raise ConfigError(
-            "--perception full: obstacles are not seen by cameras inside a flight yet; fly with "
-            "--perception truth, or on own odometry with --set perception.team.kind=fused "
-            "perception.odometry.kind=ekf"
+            "--perception full: a team that sees obstacles by its cameras alone does not yet reach "
+            "the goal on every seed; fly with --perception truth, or try it with --set "
+            "perception.team.kind=fused perception.odometry.kind=ekf "
+            "perception.obstacles.kind=cameras"
         )
     flags = []
     if args.trigger is not None:

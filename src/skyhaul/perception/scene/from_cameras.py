@@ -87,6 +87,8 @@ class TeamScene:
         shots, seen = dict(m.shots), list(m.seen)
         for camera, image in view.others:
             key = (view.vehicle, camera)
+            if key not in self.backdrops:
+                continue
             shots[key], bearings = self.backdrops[key].step(
                 shots.get(key), view.stamp_us, image, reading.team, reading.attached,
                 view.pose_covariance, m.evidence,
@@ -143,8 +145,8 @@ class CameraObstacles(Params):
     """From images to depth."""
     view: ViewRules = field(default_factory=ViewRules)
     """From depth to voxels and to what moves."""
-    backdrop: BackdropRules = field(default_factory=BackdropRules)
-    """How the other cameras' images are compared with the room."""
+    backdrop: BackdropRules | None = None
+    """How the other cameras' images are compared with the room; None: they are not looked at."""
     tracker: BearingTracker = field(default_factory=_tracker)
     """From what moves to tracks."""
     tube_most_m: float = 0.7
@@ -177,9 +179,10 @@ class CameraObstacles(Params):
         pair = self.stereo.build(calibration.rig)
         watches = tuple(SceneWatch(i, team, pair, self.view, room) for i in range(team.count))
         others = [k for k in range(len(calibration.rig.cameras)) if k not in pair.index]
-        backdrops = {
+        rules = self.backdrop
+        backdrops = {} if rules is None else {
             (i, k): BackdropWatch(
-                self.backdrop, i, (1 + others.index(k)) * team.count + i, team,
+                rules, i, (1 + others.index(k)) * team.count + i, team,
                 calibration.rig.cameras[k], room,
             )
             for i in range(team.count)
