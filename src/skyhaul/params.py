@@ -7,4 +7,4 @@ from typing import ClassVar
 class Params:
     """Marks a frozen dataclass as loadable from YAML; unknown keys are errors."""
 
-    __pydantic_config__: ClassVar = {"extra": "forbid"}
+    __pydantic_config__: ClassVar = {"extra": "forbid", "allow_inf_nan": False}

@@ -102,6 +102,18 @@ def test_a_lost_vehicle_is_a_fault_that_solves_at_once_and_tilts_the_load(ensemb
     assert 10.0 < np.degrees(np.arccos(late[2, 2])) < 25.0
 
 
+def test_a_team_that_lost_a_vehicle_stays_tilted_when_it_plans_from_where_it_strayed(journey):
+    leader, e = journey
+    solve(leader, look(leader, e, 0, HOME), "start")
+    leader.hear(2_000, [], frozenset({1}))
+    t_us = 5_000_000
+    look(leader, e, t_us, HOME + np.array([0.5, 0.0, 0.0]))
+    replan(leader, t_us, "tracking_error")
+    assert e.notes.replans[-1].accepted
+    up = leader.reference.sample(np.array([t_us, t_us + 2_000_000])).R_WD[:, 0, 2, 2]
+    assert np.all(np.degrees(np.arccos(up)) > 10.0)
+
+
 def test_two_of_four_cannot_carry_and_hold_still(ensemble):
     leader = leader_of(ensemble)
     solve(leader, look(leader, ensemble, 0), "start")

@@ -283,6 +283,13 @@ def test_a_vehicle_dies_once_the_load_is_so_far_along():
     assert 0 < np.argmax(died) == np.argmax(height >= 5.5) + 1
 
 
+def test_where_the_goal_is_the_start_all_of_the_way_is_done():
+    event = VehicleDies(vehicle=0, at_progress=0.5)
+    here = tuple(float(c) for c in plant_of().truth().team.p_WL)
+    truths = run(plant_of(events=(event,), task=GoTo(goal_m=here)), 2)
+    assert not truths[-1].alive[0]
+
+
 def test_clearance_falls_to_a_contact_that_is_told_once():
     """A ball falls onto vehicle 0 from above, at 1 m/s."""
     top = plant_of().truth().team.p_WB[0]

@@ -2,6 +2,7 @@
 """The leading role: map, plan, solve and order. Every method is one step of Algorithm 1."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from skyhaul.planning.reference import (
     restart_reference,
     resting_reference,
     stop_reference,
+    tilts_of,
 )
 from skyhaul.planning.tasks import LIFT_DT_US, lift_reference, task_reference
 from skyhaul.types import (
@@ -261,7 +263,10 @@ class Leader:
         current = self.reference
         if cause == "tracking_error":
             load = self._load
-            current = restart_reference(load[LOAD_P], load[LOAD_V], _yaw(load), t_us, limits)
+            tilts = tilts_of(self.reference)  # of a team that lost a vehicle: they stay
+            current = replace(
+                restart_reference(load[LOAD_P], load[LOAD_V], _yaw(load), t_us, limits), tilts=tilts
+            )
         with self._watch.stage("planning"):
             goal = np.array(task.goal_m)
             result = self._stack.planner.plan(self._map, current, t_us, goal, limits)

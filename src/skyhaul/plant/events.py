@@ -41,7 +41,8 @@ class EventQueue:
         """Share of the straight way from start to goal that the load has covered."""
         if self._way is None:
             return 0.0
-        return float((p_WL - self._p_WS) @ self._way) / float(self._way @ self._way)
+        square = float(self._way @ self._way)
+        return float((p_WL - self._p_WS) @ self._way) / square if square > 0.0 else 1.0
 
 
 def _needs_progress(event: ScriptedEvent) -> bool:
