@@ -67,8 +67,27 @@ def test_config_prints_yaml_that_flies_the_same(
 
 
 @pytest.mark.parametrize(
+    "words",
+    [
+        ["circle", "--set", "limits.v_max_mps=1.25", "limits.a_max_mps2=0.9"],
+        ["--set", "limits.v_max_mps=1.25", "limits.a_max_mps2=0.9", "circle"],
+        ["--set", "limits.v_max_mps=1.25", "--set", "limits.a_max_mps2=0.9", "--debug", "circle"],
+        ["--set=limits.v_max_mps=1.25", "circle", "--set", "limits.a_max_mps2=0.9"],
+    ],
+)
+def test_entries_may_stand_before_or_after_the_scenario(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["config", *words]) == 0
+    text = capsys.readouterr().out
+    assert "v_max_mps: 1.25" in text
+    assert "a_max_mps2: 0.9" in text
+
+
+@pytest.mark.parametrize(
     ("argv", "part"),
     [
+        (["run", "x" * 300], "cannot be read: File name too long"),
         (["run", "papr"], "papr: no such scenario or file; did you mean 'paper'?"),
         (["run", "nowhere/x.yaml"], "nowhere/x.yaml: no such file"),
         (["config", "paper", "--set", "team.cout=3"], "team.cout: unknown key; did you mean 'coun"),

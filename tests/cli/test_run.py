@@ -69,7 +69,7 @@ def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command, "RunRecorder", Folder)
     monkeypatch.setattr(command, "load_run", lambda folder: folder)
-    monkeypatch.setattr(command, "rehearse", lambda config, recorder: None)
+    monkeypatch.setattr(command, "rehearse", lambda config, recorder, seed: None)
     monkeypatch.setattr(command, "evaluate", lambda folder: {"mission_success": True})
     monkeypatch.setattr(command, "print_table", lambda metrics: None)
     monkeypatch.setattr(command, "write_report", lambda folder, video: None)
@@ -138,6 +138,15 @@ def test_what_breaks_off_the_rehearsal_leaves_nothing(
     monkeypatch.setattr(command, "rehearse", rehearse)
     assert main(["run", "hover", "--out", "mine"]) in (1, 3)
     assert list(written.iterdir()) == []
+
+
+def test_an_interrupt_before_the_first_step_leaves_nothing(
+    written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "fly", told(outcome(False, "interrupted"), flown=False))
+    assert main(["run", "hover", "--out", "mine"]) == 3
+    assert list(written.iterdir()) == []
+    assert "skyhaul: interrupted" in capsys.readouterr().err
 
 
 def test_a_flight_that_the_disk_breaks_off_has_failed_and_is_kept(

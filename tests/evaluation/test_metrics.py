@@ -17,6 +17,7 @@ from skyhaul.evaluation.shortest import _full_map, _statics
 from skyhaul.geometry.quaternion import quat_exp, quat_mul
 from skyhaul.model.envelope import team_shape
 from skyhaul.plant.api import Contact
+from skyhaul.world.scenario import CircleTask, HoverTask
 
 Flight = Callable[..., Path]
 
@@ -166,6 +167,18 @@ def test_a_claimed_arrival_is_checked(
     run = load_run(run_folder)
     task = replace(run.scenario.task, **change)
     assert fault_of(replace(run, scenario=replace(run.scenario, task=task)), metrics) == fault
+
+
+@pytest.mark.parametrize("task", [HoverTask(within_m=0.3), CircleTask(within_m=0.3)])
+def test_laps_count_only_near_their_reference(
+    run_folder: Path, metrics: dict, task: HoverTask | CircleTask
+) -> None:
+    run = load_run(run_folder)
+    run = replace(run, scenario=replace(run.scenario, task=task))
+    assert fault_of(run, metrics | {"tracking_max_m": 0.29}) is None
+    assert fault_of(run, metrics | {"tracking_max_m": 0.41}) == (
+        "the load was 0.41 m off its reference; task.within_m allows 0.3 m"
+    )
 
 
 def test_a_path_that_did_not_arrive_has_no_ratio(run_folder: Path) -> None:

@@ -18,7 +18,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from skyhaul.errors import FileError
 from skyhaul.evaluation.columns import Layout
-from skyhaul.evaluation.folder import read_config
+from skyhaul.evaluation.folder import read_config, read_metrics
 from skyhaul.evaluation.mcap_log import read_log
 from skyhaul.evaluation.metrics import evaluate
 from skyhaul.evaluation.parquet_log import GrowingParquet
@@ -98,6 +98,35 @@ def test_config_reads_back_equal_and_can_be_flown_again(run_folder: Path) -> Non
     assert origin.seed == 0
     assert origin.versions["numpy"] == np.__version__
     assert load_config(Scenario, str(run_folder / "config.yaml")) == scenario
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        (b"\x00\xff\xfe", "but no YAML"),
+        (b"team: [1, 2", "but no YAML"),
+        (b"- 1\n- 2\n", "but no mapping"),
+        (b"", "but no mapping"),
+        (b"# origin: {}\nteam: {count: 40}\n", "count must lie in 1..8, got 40"),
+        (b"# origin: {seed\nteam: {count: 4}\n", "its line '# origin:'"),
+        (b"team: {count: 4}\n", "has no line '# origin:'"),
+    ],
+)
+def test_a_damaged_configuration_is_told_in_one_sentence(
+    tmp_path: Path, content: bytes, part: str
+) -> None:
+    (tmp_path / "config.yaml").write_bytes(content)
+    with pytest.raises(FileError) as caught:
+        read_config(tmp_path)
+    assert part in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff\x00", b"[1]"])
+def test_damaged_metrics_are_told_in_one_sentence(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "metrics.json").write_bytes(content)
+    with pytest.raises(FileError, match=r"metrics\.json is damaged"):
+        read_metrics(tmp_path)
 
 
 def test_a_folder_in_use_is_refused(run_folder: Path) -> None:

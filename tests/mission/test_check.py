@@ -46,6 +46,20 @@ def test_every_shipped_scenario_can_be_flown(name):
 
 
 @pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        (["task.radius_m=9", "task.period_s=100"], "does not fit between the walls"),
+        (["task.period_s=1"], "task: the circle needs 6.28 m/s but limits.v_max_mps"),
+        ([box(-2.0, 0.0, 1.5, (0.3, 0.3, 0.6))], "would touch obstacle 'b'"),
+    ],
+)
+def test_laps_that_the_team_cannot_fly_are_refused(entries, words):
+    said = refusal(load_config(RunConfig, "circle", entries))
+    assert said.startswith("task: ")
+    assert words in said
+
+
+@pytest.mark.parametrize(
     "obstacle",
     [
         box(1.6, 1.6, 1.2, (0.3, 0.3, 2.4)),  # in the way across

@@ -28,7 +28,7 @@ def kernels():
 
 config = load_config(RunConfig, "paper", ["time_limit_s=9"])
 with TemporaryDirectory() as root:
-    rehearse(config, lambda short: RunRecorder(Path(root) / str(short.time_limit_s), short, 0))
+    rehearse(config, lambda short: RunRecorder(Path(root) / str(short.time_limit_s), short, 0), 0)
     before = kernels()
     outcome = fly(config, 0, RunRecorder(Path(root) / "run", config, 0))
 assert len(before) > 50, len(before)
@@ -67,7 +67,7 @@ def test_a_flight_does_not_depend_on_the_rehearsal():
 
     for rehearsed in (False, True):
         if rehearsed:
-            rehearse(config, recorder)
+            rehearse(config, recorder, 1)
         way = Way()
         Flight(config, 1, way).run(None)
         ways.append(np.array(way.p_WL))
@@ -90,5 +90,5 @@ def test_a_start_without_room_above_it_is_rehearsed_on_the_floor_only():
         heights.append(Way())
         return heights[-1]
 
-    rehearse(config, recorder)
+    rehearse(config, recorder, 1)
     assert max(p[2] for way in heights for p in way.p_WL) < 0.5

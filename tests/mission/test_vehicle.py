@@ -13,6 +13,7 @@ from skyhaul.mission.tracking import SharedTracking
 from skyhaul.mission.vehicle import VehicleAgent
 from skyhaul.planning.heading import fan_out
 from skyhaul.planning.reference import resting_reference
+from skyhaul.world.scenario import AirStart
 
 STEP_US = 2_000
 ALL = np.ones(4, dtype=bool)
@@ -34,13 +35,31 @@ def order(phase, t_us=0, since_us=0, *, active=ALL, retreat=False):
     return Order(t_us, phase.value, active, retreat, since_us)
 
 
-def test_without_orders_the_rotors_stand_still(ensemble):
+def test_without_orders_the_rotors_stand_still(make_ensemble, ground_stack):
+    ensemble = make_ensemble(ground_stack)
     agent = agent_of(ensemble)
     agent.hear(0)
     np.testing.assert_array_equal(agent.act(0, ensemble.estimate()).rotor_cmd, 0.0)
     ensemble.bus.publish(ORDER, 0, 0, order(Phase.CARRY))
     agent.hear(0)
     np.testing.assert_array_equal(agent.act(0, ensemble.estimate()).rotor_cmd, 0.0)
+
+
+def test_a_team_that_begins_in_the_air_hovers_until_it_is_led(ensemble, make_ensemble):
+    start = AirStart(payload_m=tuple(ensemble.estimate(0).team.p_WL))
+    e = make_ensemble(replace(ensemble.stack, start=start))
+    agent = agent_of(e)
+    arrays = e.stack.arrays
+    for t_us in (0, 200_000, 5_000_000):  # longer than any plan reaches
+        agent.hear(t_us)
+        act = agent.act(t_us, e.estimate(t_us))
+        weight = arrays.m_B[1] * arrays.g + arrays.m_L * arrays.g / 4
+        assert act.force_W[2] == pytest.approx(arrays.m_L * arrays.g / 4, rel=0.02)
+        assert act.thrust == pytest.approx(np.hypot(weight, np.hypot(*act.force_W[:2])), rel=0.03)
+    led = plan_message(e, 0)
+    e.bus.publish(PLAN, 0, 0, led)
+    agent.hear(5_000_000)
+    assert agent.plan is led
 
 
 def test_it_flies_the_newest_plan_that_it_heard(ensemble):
@@ -120,7 +139,10 @@ def test_a_fault_is_told_once(ensemble):
     assert agent.faulty == {1}
 
 
-def test_a_cable_that_is_not_hooked_yet_is_no_fault_before_there_is_a_plan(ensemble):
+def test_a_cable_that_is_not_hooked_yet_is_no_fault_before_there_is_a_plan(
+    make_ensemble, ground_stack
+):
+    ensemble = make_ensemble(ground_stack)
     agent = agent_of(ensemble)
     for k in range(30):
         agent.report(k * STEP_US, ensemble.estimate(k * STEP_US, attached=[False] * 4))
@@ -136,9 +158,11 @@ def test_a_cable_that_comes_off_while_the_load_stands_on_the_floor_is_a_fault(en
     assert agent.faulty == {1}
 
 
-def test_a_hook_that_does_not_close_is_a_fault_after_a_while(ensemble, with_mission):
-    station = replace(ensemble.stack.mission.station, attach_s=0.1, speed_mps=50.0)
-    e = replace(ensemble, stack=with_mission(ensemble.stack, station=station))
+def test_a_hook_that_does_not_close_is_a_fault_after_a_while(
+    make_ensemble, ground_stack, with_mission
+):
+    station = replace(ground_stack.mission.station, attach_s=0.1, speed_mps=50.0)
+    e = make_ensemble(with_mission(ground_stack, station=station))
     agent, loose = agent_of(e), [True, False, True, True]
     agent.order, asked_us = order(Phase.FLY_IN), []
     for k in range(600):

@@ -23,6 +23,20 @@ def test_vehicles_in_formation_keep_their_separation(count, payload):
     assert gaps.min() >= team.separation_m - 1e-9
 
 
+@pytest.mark.parametrize("reach_m", [0.05, 0.3])
+def test_vehicles_on_hooks_of_any_place_keep_their_separation(reach_m):
+    """Hooks that do not stand on the ring: nearer to each other, or farther out."""
+    hooks = ((reach_m, 0.05, 0.04), (-0.05, reach_m, 0.04), (-reach_m, -0.1, 0.04), (0.0, -0.2, 0))
+    payload = RigidPayload(hook_radius_m=0.7)  # of no use where the hooks are given
+    team = Team(
+        hooks_m=hooks, azimuths_deg=(20.0, 100.0, 190.0, 275.0), payload=payload, cable_angle_deg=1
+    )
+    p = vehicle_places(team)
+    gaps = np.linalg.norm((p[:, None] - p[None])[..., :2], axis=-1) + 1e9 * np.eye(4)
+    assert gaps.min() == pytest.approx(team.separation_m)
+    assert team.hook_ring_m == pytest.approx(max(np.hypot(x, y) for x, y, _ in hooks))
+
+
 def test_cables_lean_outward_by_the_target_angle():
     team = Team(count=3, cable_angle_deg=40.0)
     dirs = team.formation_dirs_L()

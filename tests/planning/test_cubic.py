@@ -4,8 +4,10 @@
 import numpy as np
 import pytest
 
+from skyhaul.geometry.so3 import rotation_z, so3_exp
 from skyhaul.planning.cubic import CubicPlanner, CubicReference, timed_cubic
 from skyhaul.planning.motion import Drive
+from skyhaul.planning.reference import resting_reference, with_tilt
 from skyhaul.planning.shortcut import subdivide
 
 DRIVE = Drive(1.35, 0.68, 0.0, 0.0, -1.0, 0.0, np.inf)
@@ -39,6 +41,18 @@ def test_derivatives_are_slopes():
     for k in range(3):
         slope = (r.sample(t + h).p_WD[:, k] - r.sample(t - h).p_WD[:, k]) / (2e-6 * h)
         np.testing.assert_allclose(slope, r.sample(t).p_WD[:, k + 1], atol=1e-4)
+
+
+def test_it_turns_the_load_on_its_way_as_the_default_reference_does():
+    R_tilt = so3_exp(np.array([0.2, -0.1, 0.0]))
+    r = reference()
+    turned = with_tilt(r, r.start_us + 1_000_000, R_tilt, 350_000)
+    other = with_tilt(resting_reference(POINTS[0], 0.2, 0), r.start_us + 1_000_000, R_tilt, 350_000)
+    t = r.start_us + np.array([900_000, 1_100_000, 1_234_000, 2_000_000])
+    np.testing.assert_array_equal(turned.sample(t).p_WD, r.sample(t).p_WD)
+    np.testing.assert_allclose(turned.sample(t).R_WD, other.sample(t).R_WD, atol=1e-9)
+    np.testing.assert_allclose(turned.sample(t[:1]).R_WD, r.sample(t[:1]).R_WD)
+    np.testing.assert_allclose(turned.sample(t[3:]).R_WD[0, 0], rotation_z(0.2) @ R_tilt)
 
 
 def test_more_waypoints_follow_the_path_more_closely():

@@ -28,7 +28,7 @@ def wander(seed, dt_us=300_000, tilts=()) -> SplineReference:
     steps = np.cumsum(rng.normal(size=(16, 4)) * [0.03, 0.03, 0.03, 0.02], axis=0)
     middle = np.cumsum(steps, axis=0)
     control = np.concatenate([np.repeat(middle[:1], 8, 0), middle, np.repeat(middle[-1:], 7, 0)])
-    return SplineReference(1_000_000, dt_us, control, tilts)
+    return SplineReference(1_000_000, dt_us, control, tilts=tilts)
 
 
 TILTS = (
@@ -92,7 +92,7 @@ def test_a_continuation_keeps_derivatives_0_to_6_at_any_time(seed, dt_us):
     t = int(np.random.default_rng(seed).integers(r.start_us, r.end_us))
     start_us, first = continuation(r, t, dt_us)
     new = SplineReference(
-        start_us, dt_us, np.concatenate([first, np.repeat(first[-1:], 7, 0)]), r.tilts
+        start_us, dt_us, np.concatenate([first, np.repeat(first[-1:], 7, 0)]), tilts=r.tilts
     )
     a, b = r.sample(np.array([t])), new.sample(np.array([t]))
     scale = np.maximum(np.abs(a.p_WD), np.abs(a.p_WD).max(axis=(0, 2))[None, :, None])
@@ -135,6 +135,16 @@ def test_a_stop_is_smooth_quick_and_within_the_braking_limit(seed):
     assert stop.max_acceleration_mps2() <= max(LIMITS.a_brake_mps2, flown) * 1.001
     assert stop.end_us - t <= 1e6 * (speed + flown) / LIMITS.a_brake_mps2 + 8 * stop.dt_us
     np.testing.assert_array_equal(stop.control[-8:], np.tile(stop.control[-1], (8, 1)))
+
+
+def test_a_stop_on_a_tilted_cubic_keeps_its_yaw_and_its_tilt():
+    drive = Drive(1.0, 0.7, 0.0, 0.0, -1.0, 0.0, np.inf)
+    points = np.array([[0.0, 0, 0], [0.7, 0.2, 0], [1.5, 1.0, 0.5]])
+    cubic = CubicReference(0, timed_cubic(points, np.zeros(3), drive, 0.5), 0.4)
+    turned = with_tilt(cubic, 200_000, so3_exp(np.array([0.3, 0.2, 0.1])), 350_000)
+    stop = stop_reference(turned, 1_000_000, LIMITS)
+    after = np.array([1_000_000, stop.end_us])
+    np.testing.assert_allclose(stop.sample(after).R_WD, turned.sample(after).R_WD, atol=1e-9)
 
 
 def test_a_stop_from_cruise_takes_the_way_the_design_says():

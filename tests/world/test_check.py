@@ -72,6 +72,17 @@ def test_the_largest_accelerations_take_the_whole_thrust() -> None:
             "team.hooks_m: the hooks leave",
         ),
         (
+            ["team.hooks_m=[[-0.1, -0.1, 0], [0.1, -0.1, 0], [0.1, 0.1, 0], [-0.1, 0.1, 0]]"],
+            "would lean across the load from its hook (",
+        ),
+        (
+            [
+                "team.azimuths_deg=[0, 60, 180, 270]",
+                "team.hooks_m=[[0.05, 0.15, 0], [0.15, -0.05, 0], [-0.1, 0, 0], [0, -0.1, 0]]",
+            ],
+            "team.hooks_m: cables 0 and 1 would cross between load and vehicles",
+        ),
+        (
             ["team={count: 2, azimuths_deg: [0, 180]}", "start.vehicles_m=null"],
             "missions fly 3 to 8 vehicles, got 2",
         ),

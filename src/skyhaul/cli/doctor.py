@@ -15,7 +15,7 @@ from skyhaul.control.failure import FailureRow, single_failure_table
 from skyhaul.mission.config import RunConfig
 from skyhaul.model.envelope import team_shape
 from skyhaul.model.team import Team
-from skyhaul.world.check import hover_thrusts
+from skyhaul.world.check import THRUST_SHARE_MAX, hover_thrusts
 from skyhaul.world.load import load_config
 
 PACKAGES = [
@@ -88,7 +88,10 @@ def team_margins(team: Team) -> list[tuple[str, str]]:
         ("weight, load included", f"{weight:.2f} N"),
         ("largest thrust, all", f"{arrays.thrust_max.sum():.2f} N"),
         ("hover thrust / largest", f"{np.max(thrust / arrays.thrust_max):.2f}"),
-        ("heaviest load it can hold", f"{heaviest_load_kg(team):.2f} kg of {arrays.m_L:.2f} kg"),
+        (
+            f"heaviest load, at {THRUST_SHARE_MAX:.0%} of the thrust",
+            f"{heaviest_load_kg(team):.2f} kg; it is {arrays.m_L:.2f} kg",
+        ),
         ("vehicles that lift it alone", f"{lifts} of {team.count}"),
         ("cable angle", f"{np.degrees(team.cable_angle_rad):.1f} deg"),
         ("shape", f"{shape.radius_m:.2f} m around the load, {shape.above_m:.2f} m above it"),
@@ -111,14 +114,16 @@ def _loss(row: FailureRow) -> str:
 
 
 def heaviest_load_kg(team: Team) -> float:
-    """Load with which the first vehicle reaches its largest thrust in hover [kg].
+    """Load with which the first vehicle needs the most that a scenario may ask in hover [kg].
 
-    Each cable lifts x, and its vehicle gives |(m g + x, x tan angle)| = thrust_max.
+    Each cable lifts x, and its vehicle gives |(m g + x, x tan angle)| = 0.9 thrust_max; 0 where
+    a vehicle alone needs more.
     """
     a, tangent = team.arrays(), np.tan(team.cable_angle_rad)
     weight, square = a.m_B * a.g, 1.0 + tangent**2
-    root = np.sqrt(weight**2 - square * (weight**2 - a.thrust_max**2))
-    return float(np.min((root - weight) / square)) * team.count / a.g
+    most = THRUST_SHARE_MAX * a.thrust_max
+    root = np.sqrt(np.maximum(0.0, weight**2 - square * (weight**2 - most**2)))
+    return max(0.0, float(np.min((root - weight) / square))) * team.count / a.g
 
 
 def _version(package: str) -> str:

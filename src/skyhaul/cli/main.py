@@ -18,7 +18,7 @@ EXIT_OK, EXIT_ERROR, EXIT_USAGE, EXIT_FAILED = 0, 1, 2, 3
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    args = parser().parse_args(argv)
+    args = parser().parse_args(one_set_each(sys.argv[1:] if argv is None else argv))
     try:
         code = command(args.command)(args)
         sys.stdout.flush()
@@ -35,6 +35,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.debug:
             raise
         return _fail(f"a fault of ours: {_one_line(error)}; run with --debug for the traceback")
+
+
+def one_set_each(argv: Sequence[str]) -> list[str]:
+    """`--set A=1 B=2 NAME` as `--set A=1 --set B=2 NAME`: entries hold `=`, names do not."""
+    spread: list[str] = []
+    after_entry = False
+    for word in argv:
+        is_first = spread[-1:] == ["--set"]
+        is_next = after_entry and "=" in word and not word.startswith("-")
+        spread += ["--set", word] if is_next else [word]
+        after_entry = is_first or is_next
+    return spread
 
 
 def parser() -> argparse.ArgumentParser:
@@ -251,10 +263,9 @@ def _add_scenario(to: argparse.ArgumentParser) -> None:
         "--set",
         dest="overrides",
         action="append",
-        nargs="+",
         default=[],
         metavar="KEY=VALUE",
-        help="change an entry, as in --set limits.v_max_mps=1.0; may be repeated",
+        help="change an entry, as in --set limits.v_max_mps=1.0; more may follow, or repeat it",
     )
 
 

@@ -8,7 +8,7 @@ from skyhaul.errors import ConfigError
 
 def overrides_of(args: argparse.Namespace) -> list[str]:
     """The entries of --set, in order."""
-    return [entry for group in args.overrides for entry in group]
+    return list(args.overrides)
 
 
 def run_overrides(args: argparse.Namespace) -> list[str]:

@@ -22,7 +22,7 @@ from skyhaul.evaluation.series import load_run
 from skyhaul.evaluation.table import print_table
 from skyhaul.jit import told_of_compiling
 from skyhaul.mission.config import RunConfig
-from skyhaul.mission.flight import fly
+from skyhaul.mission.flight import INTERRUPTED, fly
 from skyhaul.mission.rehearsal import rehearse
 from skyhaul.world.load import load_config
 
@@ -81,9 +81,13 @@ def _fly(config: RunConfig, seed: int, recorder: RunRecorder) -> SkyhaulError | 
         with FlightBar(config.name, sys.stderr) as bar:
             with told_of_compiling(bar.compiling), TemporaryDirectory() as root:
                 count = itertools.count()
-                rehearse(config, lambda short: RunRecorder(Path(root) / f"{next(count)}", short, 0))
+                rehearse(
+                    config,
+                    lambda short: RunRecorder(Path(root) / f"{next(count)}", short, seed),
+                    seed,
+                )
             gc.freeze()  # modules and kernels stay: the collector need not look at them in flight
-            fly(config, seed, recorder, bar.update)
+            outcome = fly(config, seed, recorder, bar.update)
     except BaseException as fault:
         if recorder.withdraw():
             raise
@@ -91,6 +95,8 @@ def _fly(config: RunConfig, seed: int, recorder: RunRecorder) -> SkyhaulError | 
             return fault
         fault.add_note(f"what was flown is kept in {recorder.folder}")
         raise
+    if outcome.reason == INTERRUPTED and recorder.withdraw():
+        raise KeyboardInterrupt  # before its first step: nothing was flown
     return None
 
 

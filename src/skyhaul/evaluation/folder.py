@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from skyhaul.errors import FileError
+from skyhaul.errors import ConfigError, FileError
 from skyhaul.world.load import dump_config
 from skyhaul.world.scenario import Scenario
 from skyhaul.world.schema import build
@@ -107,21 +107,36 @@ def read_config(folder: Path) -> tuple[Scenario, Origin]:
     """Scenario part of the configuration, and the origin of a run.
 
     Raises:
-        FileError: when the folder holds no run.
+        FileError: when the folder holds no run, or its configuration is damaged.
     """
     path = folder / CONFIG
     if not path.is_file():
         raise FileError(f"{folder} is no run folder: it has no {CONFIG}")
-    text = path.read_text(encoding="utf-8")
+    damaged = f"{path} is damaged: it is not what a run wrote"
+    try:
+        text = path.read_text(encoding="utf-8")
+        whole = yaml.safe_load(text)
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError):
+        raise FileError(f"{damaged}, but no YAML") from None
+    if not isinstance(whole, dict):
+        raise FileError(f"{damaged}, but no mapping")
     known = {f.name for f in fields(Scenario)}
-    tree: dict[str, Any] = {k: v for k, v in yaml.safe_load(text).items() if k in known}
-    return build(Scenario, tree), _read_origin(path, text)
+    tree: dict[str, Any] = {k: v for k, v in whole.items() if k in known}
+    try:
+        return build(Scenario, tree), _read_origin(path, text)
+    except ConfigError as error:
+        raise FileError(f"{damaged}: {error}") from None
 
 
 def write_json(path: Path, data: object) -> None:
     """Write JSON so that a reader finds the old file or the new one, never half of one."""
+    write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text whole or not at all."""
     part = path.with_suffix(".part")
-    part.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    part.write_text(text, encoding="utf-8")
     part.replace(path)
 
 
@@ -129,19 +144,27 @@ def read_metrics(folder: Path) -> dict[str, Any]:
     """The metrics of a run.
 
     Raises:
-        FileError: when they have not been written.
+        FileError: when they have not been written, or are damaged.
     """
     path = folder / METRICS
     if not path.is_file():
         raise FileError(f"{path} does not exist; `skyhaul report {folder}` makes it")
-    metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        metrics = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        metrics = None
+    if not isinstance(metrics, dict):
+        raise FileError(f"{path} is damaged: no JSON object; `skyhaul report {folder}` makes it")
     return metrics
 
 
 def _read_origin(path: Path, text: str) -> Origin:
     for line in text.splitlines():
         if line.startswith(_ORIGIN):
-            return Origin(**json.loads(line[len(_ORIGIN) :]))
+            try:
+                return Origin(**json.loads(line[len(_ORIGIN) :]))
+            except (ValueError, TypeError):
+                raise FileError(f"{path} is damaged: its line {_ORIGIN.strip()!r}") from None
     raise FileError(f"{path} has no line {_ORIGIN.strip()!r}: it was not written by a run")
 
 

@@ -16,9 +16,9 @@ NO_OUTCOME = "interrupted: the run has no recorded end"
 def fault_of(run: Run, metrics: MetricMap) -> str | None:
     """Why the mission does not count as done, one sentence; None: it does.
 
-    Done: the flight says so, and the recorded truth bears it out: the load held at the goal; after
-    lift-off no contact (a lost vehicle may fall to the floor, and on nobody), no touch of an
-    obstacle and no slack cable.
+    Done: the flight says so, and the recorded truth bears it out: the load held at the goal, or,
+    in a task without one, never far from its reference; after lift-off no contact (a lost vehicle
+    may fall to the floor, and on nobody), no touch of an obstacle and no slack cable.
     """
     outcome = run.events.outcome
     if outcome is None:
@@ -27,6 +27,10 @@ def fault_of(run: Run, metrics: MetricMap) -> str | None:
         return outcome.reason
     if isinstance(run.scenario.task, GoTo) and not _held(run, run.scenario.task):
         return "the load was not held at the goal"
+    strayed = limits(run.scenario)["limit_tracking_max_m"]
+    if strayed is not None and (metrics["tracking_max_m"] or 0.0) > strayed:
+        off_m = metrics["tracking_max_m"]
+        return f"the load was {off_m:.2f} m off its reference; task.within_m allows {strayed:g} m"
     hits = metrics["collisions"] - metrics["collisions_lost_vehicle"]
     if hits:
         first = next(c for c in run.events.contacts if c.airborne and not c.lost)
@@ -45,6 +49,7 @@ def limits(scenario: Scenario) -> MetricMap:
     return {
         "limit_mission_time_s": scenario.time_limit_s,
         "limit_distance_to_goal_m": task.within_m if isinstance(task, GoTo) else None,
+        "limit_tracking_max_m": None if isinstance(task, GoTo) else task.within_m,
         "limit_min_quad_distance_m": 2.0 * scenario.team.vehicle.radius_m,
     }
 

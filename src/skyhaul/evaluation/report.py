@@ -9,7 +9,7 @@ from pathlib import Path
 
 from skyhaul.evaluation.energy import EnergyModel
 from skyhaul.evaluation.figures import write_figure
-from skyhaul.evaluation.folder import CONFIG, REPORT
+from skyhaul.evaluation.folder import CONFIG, REPORT, write_text
 from skyhaul.evaluation.metrics import run_metrics
 from skyhaul.evaluation.report_data import Data, report_data
 from skyhaul.evaluation.series import Run, load_run
@@ -29,7 +29,7 @@ def write_report(run: Run | Path | str, video: bool = False) -> Path:
     data = report_data(run, run_metrics(run, EnergyModel()))
     config = (run.folder / CONFIG).read_text(encoding="utf-8")
     path = run.folder / REPORT
-    path.write_text(_page(data, config), encoding="utf-8")
+    write_text(path, _page(data, config))
     if len(run.t_s):
         write_figure(run)
     if video:

@@ -60,7 +60,8 @@ GROUPS: tuple[tuple[str, tuple[Row, ...]], ...] = (
     (
         "Safety",
         (
-            Row("collisions", "contacts after lift-off", "", "d", _hits, "= 0"),
+            Row("collisions", "contacts after lift-off", "", "d", _hits,
+                "= 0 (lost one aside)"),
             Row("collisions_lost_vehicle", "... of a lost vehicle with the floor", "", "d"),
             Row("min_clearance_m", "least clearance", "m", ".3f", _positive, "> 0"),
             Row("min_quad_distance_m", "least distance of two vehicles, centres", "m", ".3f",
@@ -76,7 +77,8 @@ GROUPS: tuple[tuple[str, tuple[Row, ...]], ...] = (
         "Tracking",
         (
             Row("tracking_rmse_m", "position error, RMS", "m", ".4f"),
-            Row("tracking_max_m", "position error, largest", "m", ".4f"),
+            Row("tracking_max_m", "position error, largest", "m", ".4f",
+                _below("limit_tracking_max_m"), "<= {limit}"),
             Row("attitude_rmse_deg", "attitude error, RMS", "deg", ".2f"),
             Row("payload_swing_rms_deg", "cables off their flat reference, RMS", "deg", ".2f"),
         ),

@@ -15,10 +15,21 @@ from skyhaul.model.envelope import TeamShape, team_shape
 from skyhaul.perception.api import ObstacleEstimate, StaticObject
 from skyhaul.planning.api import PlanStatus
 from skyhaul.planning.reference import resting_reference
+from skyhaul.planning.tasks import task_curve, task_reference
 from skyhaul.types import Array
-from skyhaul.world.check import clearances_at, parked_m, rest_height_m, standing
-from skyhaul.world.scenario import AirStart, FlyInStart, GoTo, GroundStart
+from skyhaul.world.check import check_place, clearances_at, parked_m, rest_height_m, standing
+from skyhaul.world.scenario import (
+    AirStart,
+    CircleTask,
+    Figure8Task,
+    FlyInStart,
+    GoTo,
+    GroundStart,
+    HoverTask,
+)
 
+LAP_PLACES = 181
+"""Places of a lap that are looked at."""
 STEP_M = 0.05
 """Spacing of the places on a way that are looked at [m]."""
 
@@ -29,12 +40,13 @@ def check_flight(config: RunConfig) -> None:
     Raises:
         ConfigError: With one sentence that begins with the key at fault.
     """
-    if not standing(config):
-        return
-    if isinstance(config.start, GroundStart | FlyInStart):
+    stands, task = bool(standing(config)), config.task
+    if stands and isinstance(config.start, GroundStart | FlyInStart):
         _check_ways_in(config, config.start)
-    if isinstance(config.task, GoTo):
-        _check_goal(config, np.array(config.task.goal_m))
+    if not isinstance(task, GoTo):
+        _check_task(config, task)
+    elif stands:
+        _check_goal(config, np.array(task.goal_m))
 
 
 def known_map(config: RunConfig, p_WL: Array) -> WorldMap:
@@ -77,6 +89,17 @@ def _along(corners: Array) -> Array:
     counts = [max(2, int(np.linalg.norm(b - a) / STEP_M) + 2) for a, b in legs]
     places = [np.linspace(corners[k], corners[k + 1], n) for k, n in enumerate(counts)]
     return np.concatenate(places)
+
+
+def _check_task(config: RunConfig, task: HoverTask | CircleTask | Figure8Task) -> None:
+    """The team can fly the curve of its task, and fits into the room all along it."""
+    begin = _begin(config)
+    task_reference(task, begin, 0.0, 0, config.limits)
+    check_place(config, "task", begin)
+    if isinstance(task, HoverTask):
+        return
+    for offset in task_curve(task, np.linspace(0.0, 2.0 * np.pi, LAP_PLACES))[:, :3]:
+        check_place(config, "task", begin + offset)
 
 
 def _check_goal(config: RunConfig, p_WG: Array) -> None:

@@ -54,7 +54,8 @@ class Crew:
     def tell_leading_vehicle(self) -> None:
         """The leader's own vehicle hears its orders and plans without the bus."""
         agent = self.agents[self.leader.index]
-        agent.order, agent.plan = self.leader.order, self.leader.forces.message
+        agent.order = self.leader.order
+        agent.plan = self.leader.forces.message or agent.plan  # its own while none is made yet
 
     def _elected(self) -> int:
         """The vehicle that began to elect itself last; the old leader while none does."""

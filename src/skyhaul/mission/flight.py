@@ -29,6 +29,8 @@ from skyhaul.world.scenario import GoTo
 
 _PROGRESS_PERIOD_US = 100_000
 _JUDGE_PERIOD_US = 10_000
+INTERRUPTED = "interrupted"
+"""Reason of a flight that Ctrl-C ended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +73,7 @@ def fly(
         flight = Flight(config, seed, recorder)
         verdict = flight.run(progress)
     except KeyboardInterrupt:
-        verdict = _failed("interrupted")
+        verdict = _failed(INTERRUPTED)
     except SkyhaulError as fault:
         verdict = _failed(f"broken off: {fault}")
         raise

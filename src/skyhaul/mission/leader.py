@@ -28,6 +28,7 @@ from skyhaul.planning.cost import is_better, reference_cost
 from skyhaul.planning.heading import HeadingPlan, fan_out
 from skyhaul.planning.reference import (
     SplineReference,
+    Tilted,
     remaining_time,
     restart_reference,
     resting_reference,
@@ -104,7 +105,7 @@ class Leader:
 
     def _tilt(self, t_us: TimeUs, reference: Reference, R_WL: Array) -> None:
         """Turn the load on its way; a reference of a kind that cannot turn it comes to rest."""
-        reaches_goal = self._reaches_goal and isinstance(reference, SplineReference)
+        reaches_goal = self._reaches_goal and isinstance(reference, Tilted)
         turned = reference_after_loss(self._stack, reference, t_us, R_WL)
         self._adopt(t_us, turned, reaches_goal)
 
@@ -116,6 +117,8 @@ class Leader:
         self.index, self.order = index, None  # it orders by its own name
         if order is not None:
             self.phase, self._phase_since_us = Phase(order.phase), order.since_us
+        if message is not None and message.stamp_us < 0:
+            message = None  # no leader made it: see `hover_message`
         if message is not None and message.reference is not self.reference:
             self._adopt(t_us, message.reference, self._stack.task.kind != "goto")
         self.forces.follow(message)

@@ -11,7 +11,8 @@ from skyhaul.control.failure import Equilibrium, equilibrium_after_loss
 from skyhaul.mission.setup import Stack
 from skyhaul.model.team import Team
 from skyhaul.planning.api import Reference
-from skyhaul.planning.reference import SplineReference, stop_reference, with_tilt
+from skyhaul.planning.heading import fan_out
+from skyhaul.planning.reference import Tilted, resting_reference, stop_reference, with_tilt
 from skyhaul.types import Array, Mask, TimeUs
 
 TILT_US = 350_000
@@ -21,7 +22,7 @@ by itself in some 0.3 s: a slower reference first pulls it back, and a faster on
 
 def reference_after_loss(
     stack: Stack, reference: Reference, t_us: TimeUs, R_WL: Array
-) -> SplineReference:
+) -> Reference:
     """The load turned on its way; a reference of a kind that cannot turn it comes to rest.
 
     Args:
@@ -30,9 +31,20 @@ def reference_after_loss(
         t_us: When the turn begins [us].
         R_WL: Attitude of the equilibrium of the cables that are left, at yaw 0, (3, 3).
     """
-    if not isinstance(reference, SplineReference):
-        reference = stop_reference(reference, t_us, stack.limits)
-    return with_tilt(reference, t_us, R_WL, TILT_US)
+    if isinstance(reference, Tilted):
+        return with_tilt(reference, t_us, R_WL, TILT_US)
+    return with_tilt(stop_reference(reference, t_us, stack.limits), t_us, R_WL, TILT_US)
+
+
+def hover_message(stack: Stack) -> PlanMessage:
+    """What a team that begins in the air hovers by until its leader is heard.
+
+    Every vehicle knows the start. The stamp -1 is older than that of any plan of a leader.
+    """
+    reference = resting_reference(np.array(stack.start.payload_m), 0.0, 0)
+    plan = stack.backup.plan(reference, 0, np.ones(stack.team.count, np.bool_))
+    heading = fan_out(reference, stack.team.azimuths_rad, 0, 0.0, stack.heading)
+    return PlanMessage(-1, plan, reference, heading)
 
 
 def makeshift_plan(stack: Stack, message: PlanMessage, t_us: TimeUs, active: Mask) -> PlanMessage:

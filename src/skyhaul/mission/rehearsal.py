@@ -20,26 +20,27 @@ HEIGHT_M = 1.5
 """Height of the load in the air [m]."""
 
 
-def rehearse(config: RunConfig, recorder: Callable[[RunConfig], Recorder]) -> None:
+def rehearse(config: RunConfig, recorder: Callable[[RunConfig], Recorder], seed: int) -> None:
     """Fly two short scenes with the stack of a flight: from its own start, and among obstacles.
 
     Args:
         config: The flight to come. Its stack is used as it is; results do not depend on this.
         recorder: Makes the recorder of a rehearsal, of the kind that the flight will have.
+        seed: That of the flight: with it an obstacle stands where it will stand.
     """
     short = replace(config, events=(), time_limit_s=GROUND_S)
     if config.start.kind != "air":
-        _fly(short, recorder)
+        _fly(short, recorder, seed)
     try:
-        _fly(_in_the_air(short), recorder)
+        _fly(_in_the_air(short), recorder, seed)
     except ConfigError:
         return  # no room above the start: what is missing is compiled when it is needed
 
 
-def _fly(config: RunConfig, recorder: Callable[[RunConfig], Recorder]) -> None:
+def _fly(config: RunConfig, recorder: Callable[[RunConfig], Recorder], seed: int) -> None:
     """Fly to the end of the time; unlike in a flight, an interrupt is passed on."""
     listener, verdict = recorder(config), FLYING_ON
-    flight = Flight(config, 0, listener)
+    flight = Flight(config, seed, listener)
     try:
         verdict = flight.run(None)
     finally:

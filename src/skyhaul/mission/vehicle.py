@@ -12,7 +12,7 @@ from skyhaul.control.failure import Rotor
 from skyhaul.geometry.kernels import quat_rotate
 from skyhaul.mission.api import Phase
 from skyhaul.mission.hearing import Hearing
-from skyhaul.mission.loss import makeshift_plan, plan_in_silence
+from skyhaul.mission.loss import hover_message, makeshift_plan, plan_in_silence
 from skyhaul.mission.phases import spool_share
 from skyhaul.mission.setup import Stack
 from skyhaul.mission.station import Route, Setpoint, route_along, station_point, way_in
@@ -83,7 +83,7 @@ class VehicleAgent:
 
     def __init__(self, index: int, stack: Stack, bus: Bus, tracking: SharedTracking) -> None:
         self.index = index
-        self.plan: PlanMessage | None = None
+        self.plan = hover_message(stack) if stack.start.kind == "air" else None
         self.order: Order | None = None
         self.faulty: frozenset[int] = frozenset()
         self.chief: int | None = 0  # who leads, by what this vehicle hears
@@ -171,14 +171,13 @@ class VehicleAgent:
         if self.index in self.faulty:
             act = self._leave(estimate)
         elif order is None:
-            act = self._idle()
+            act = self._idle() if self.plan is None else self._hold(t_us, estimate, self.plan)
         elif order.phase in _STATION_PHASES:
             act = self._to_station(estimate, retreat=order.retreat)
         elif order.phase in _RETREAT_PHASES:
             act = self._to_station(estimate, retreat=True)
         elif self.plan is not None:
-            plan = self._plan_now(t_us, self.plan)
-            act = self._carry(estimate, plan, self._share(t_us, order))
+            act = self._carry(estimate, self._plan_now(t_us, self.plan), self._share(t_us, order))
         elif self._route is not None:
             act = self._to_station(estimate, retreat=False)  # the plan is still on its way
         else:
@@ -248,6 +247,10 @@ class VehicleAgent:
         """Follow the force plan with cable and attitude control."""
         i = self.index
         return Actuation(self._tracking.command(i, estimate, message, share), i)
+
+    def _hold(self, t_us: TimeUs, estimate: TeamEstimate, plan: PlanMessage) -> Actuation:
+        """Carry on by what it has, without an order: so begins a flight in the air."""
+        return self._carry(estimate, self._plan_now(t_us, plan), 1.0)
 
     def _to_station(self, estimate: TeamEstimate, *, retreat: bool) -> Actuation:
         """Fly to the station over the load and tauten the cable; back again on a retreat."""

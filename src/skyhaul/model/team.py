@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -169,7 +170,7 @@ class Team(Params):
             if rows is not None and len(rows) != self.count:
                 raise ValueError(
                     f"{name} has {len(rows)} entries for count = {self.count} vehicles; "
-                    "give one each, or leave it out"
+                    "give one each, or set it to null"
                 )
         _check_overrides(self.overrides, self.count)
         if not 0.0 <= self.cable_angle_deg < 70.0:
@@ -190,8 +191,8 @@ class Team(Params):
 
     @property
     def hook_ring_m(self) -> float:
-        """Distance of the hooks from the vertical axis [m]."""
-        return self.payload.hook_radius_m if self.payload.kind == "rigid" else 0.0
+        """Distance of the outermost hook from the vertical axis [m]."""
+        return float(np.max(np.hypot(*self.hooks_L()[:, :2].T)))
 
     @property
     def cable_angle_rad(self) -> float:
@@ -202,12 +203,17 @@ class Team(Params):
         return max(target, math.asin(max(0.0, self._needed_sine())))
 
     def _needed_sine(self) -> float:
-        """Sine of the angle at which the closest two vehicles are `separation_m` apart."""
-        a = np.sort(self.azimuths_rad % (2.0 * np.pi))
-        gap = float(np.min(np.diff(np.append(a, a[0] + 2.0 * np.pi))))
-        radius = self.separation_m / (2.0 * math.sin(min(gap, np.pi) / 2.0) + 1e-12)
-        shortest = float(np.min(self.cable_lengths_m()))
-        return (radius - self.hook_ring_m) / shortest
+        """Sine of the angle at which the closest two vehicles are `separation_m` apart.
+
+        Seen from above, two vehicles on cables of the shortest length l are d_0 + s d_1 apart, s
+        the sine, d_0 = h_i - h_k between their hooks and d_1 = l (u_i - u_k) between their cables.
+        """
+        hooks, shortest = self.hooks_L()[:, :2], float(np.min(self.cable_lengths_m()))
+        out = np.column_stack([np.cos(self.azimuths_rad), np.sin(self.azimuths_rad)])
+        return max(
+            _sine_apart(hooks[i] - hooks[k], shortest * (out[i] - out[k]), self.separation_m)
+            for i, k in combinations(range(self.count), 2)
+        )
 
     def cable_lengths_m(self) -> Array:
         """Length of each cable, (n,) [m]."""
@@ -276,6 +282,15 @@ class TeamArrays(NamedTuple):
     motor_lag: float  # [s]
     tension_min: float  # [N]
     g: float  # [m/s^2]
+
+
+def _sine_apart(d0: Array, d1: Array, separation_m: float) -> float:
+    """Larger root s of |d_0 + s d_1| = separation; 0 where any s does, inf where none does."""
+    a, b, c = float(d1 @ d1), float(d0 @ d1), float(d0 @ d0) - separation_m**2
+    if a < 1e-12:
+        return math.inf if c < 0.0 else 0.0
+    square = b * b - a * c
+    return (math.sqrt(square) - b) / a if square > 0.0 else 0.0
 
 
 def _check_overrides(overrides: tuple[VehicleOverride, ...], count: int) -> None:

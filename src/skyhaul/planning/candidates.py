@@ -175,7 +175,7 @@ def make(start: Departure, points: Array, drive: Drive) -> Candidate:
     """Fly points in a certain way: the curve, its limits and its clearance."""
     run = run_along(points, start.speed_mps, drive)
     control = control_points(start.first, run, start.dt_s)
-    reference = SplineReference(start.start_us, start.dt_us, control, tilts_of(start.current))
+    reference = SplineReference(start.start_us, start.dt_us, control, tilts=tilts_of(start.current))
     top = largest_derivatives(control, start.dt_s, BASIS, 4)
     feasible = run.feasible and bool(np.all(top[1:4] <= start.allowed[1:4]))
     begin = (start.start_us - start.world_map.stamp_us) / US_PER_S

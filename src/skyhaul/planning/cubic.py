@@ -23,6 +23,7 @@ from skyhaul.planning.candidates import ACCEL_SHARE, MOVING_MPS, SPACING_M
 from skyhaul.planning.motion import Drive, run_along
 from skyhaul.planning.path import round_corners
 from skyhaul.planning.paths import PathSearch
+from skyhaul.planning.reference import Tilted, tilt, tilts_of, untilted
 from skyhaul.planning.replan import capped
 from skyhaul.planning.verify import verify
 from skyhaul.types import US_PER_S, Array, TimeUs
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class CubicReference:
+class CubicReference(Tilted):
     """Piecewise cubic, C2 inside; its jerk jumps at the waypoints and higher derivatives are 0."""
 
     start_us: TimeUs
@@ -56,6 +57,7 @@ class CubicReference:
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         R = np.zeros((len(t), 7, 3, 3))
         R[:, 0] = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
+        tilt(self, self.start_us, t, R)
         return RefSample(p_WD=p, R_WD=R)
 
     def max_speed_mps(self) -> float:
@@ -121,7 +123,7 @@ class CubicRoutePlanner:
     ) -> ReferencePlan:
         """See `ReferencePlanner.plan`; it goes, more slowly if need be, and never waits."""
         limits = capped(limits, world_map)
-        now = current.sample(np.array([t_us]))
+        now = untilted(current).sample(np.array([t_us]))
         p_WS, v_WS = now.p_WD[0, 0], now.p_WD[0, 1]
         yaw = math.atan2(now.R_WD[0, 0, 1, 0], now.R_WD[0, 0, 0, 0])
         p_WG = np.asarray(p_WG, dtype=np.float64)
@@ -138,7 +140,7 @@ class CubicRoutePlanner:
             for halvings in range(4):
                 spacing = self.params.spacing_m * 0.5**halvings
                 spline = timed_cubic(points, v_WS, _drive(limits, pace), spacing)
-                reference = CubicReference(t_us, spline, yaw)
+                reference = CubicReference(t_us, spline, yaw, tilts=tilts_of(current))
                 smallest, bad, _ = verify(world_map, reference, t_us, limits.v_max_mps)
                 effort = effort or reference
                 if bad == math.inf and _within(reference, limits):

@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass, field, replace
 from math import comb
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -42,7 +42,14 @@ class TiltBlend:
 
 
 @dataclass(frozen=True, eq=False)
-class SplineReference:
+class Tilted:
+    """A reference that can turn the load on its way: R_WD = Rz(yaw) exp(phi_1 s_1) .."""
+
+    tilts: tuple[TiltBlend, ...] = field(default=(), kw_only=True)
+
+
+@dataclass(frozen=True, eq=False)
+class SplineReference(Tilted):
     """R_WD = Rz(yaw) exp(phi_1 s_1) exp(phi_2 s_2) ..; position and yaw are one septic spline.
 
     Every derivative 0..6 is continuous for all times; at rest before the start and after the end.
@@ -51,7 +58,6 @@ class SplineReference:
     start_us: TimeUs
     dt_us: TimeUs  # knot spacing
     control: Array  # (m, 4) control points x, y, z [m], yaw [rad]; the last 8 are equal
-    tilts: tuple[TiltBlend, ...] = field(default=())
 
     def __post_init__(self) -> None:
         frozen(self.control)
@@ -74,12 +80,8 @@ class SplineReference:
         """See `Reference.sample`."""
         t = np.atleast_1d(np.asarray(t_us, dtype=np.float64))
         time = (t - self.start_us) / US_PER_S
-        blends = np.empty((len(self.tilts), 5))
-        for row, b in zip(blends, self.tilts, strict=True):
-            row[0], row[1] = b.start_us - self.start_us, b.duration_us
-            row[:2] /= US_PER_S
-            row[2:] = b.phi
-        p, R = _sample(self.control, self.dt_s, time, blends, BASIS, _BINOMIAL, SMOOTH_RISE)
+        p, R = _sample(self.control, self.dt_s, time, BASIS, _BINOMIAL)
+        tilt(self, self.start_us, time, R)
         return RefSample(p_WD=p, R_WD=R)
 
     def derivatives(self, t_us: TimeUs) -> Array:
@@ -115,6 +117,9 @@ def resting_reference(
     return SplineReference(start_us, dt_us, np.tile(np.append(p_WD, yaw_rad), (ORDER, 1)))
 
 
+T = TypeVar("T", bound=Tilted)
+
+
 class Continuation(NamedTuple):
     """The beginning of a spline that goes on from another reference."""
 
@@ -148,7 +153,7 @@ def _derivatives(current: Reference, t_us: TimeUs) -> Array:
     """Derivatives 0..6 of x, y, z, yaw, (7, 4); of yaw only 0 and 1 for other kinds."""
     if isinstance(current, SplineReference):
         return current.derivatives(t_us)
-    s = current.sample(np.array([t_us], dtype=np.int64))
+    s = untilted(current).sample(np.array([t_us], dtype=np.int64))
     d = np.zeros((7, 4))
     d[:, :3] = s.p_WD[0]
     R, dR = s.R_WD[0, 0], s.R_WD[0, 1]
@@ -159,12 +164,15 @@ def _derivatives(current: Reference, t_us: TimeUs) -> Array:
 
 def tilts_of(current: Reference) -> tuple[TiltBlend, ...]:
     """The blends of tilt that a continuation must carry on."""
-    return current.tilts if isinstance(current, SplineReference) else ()
+    return current.tilts if isinstance(current, Tilted) else ()
 
 
-def with_tilt(
-    current: SplineReference, t_us: TimeUs, R_tilt: Array, duration_us: TimeUs
-) -> SplineReference:
+def untilted(current: Reference) -> Reference:
+    """The same motion without its blends of tilt: its attitude is the yaw alone."""
+    return replace(current, tilts=()) if isinstance(current, Tilted) else current
+
+
+def with_tilt(current: T, t_us: TimeUs, R_tilt: Array, duration_us: TimeUs) -> T:
     """The same motion, its attitude turned smoothly to Rz(yaw) R_tilt, from t on.
 
     Args:
@@ -201,7 +209,7 @@ def stop_reference(
         rows.append(first[-1] + way[:, None] * step)
     control = np.concatenate(rows)
     control = np.concatenate([control, np.repeat(control[-1:], ORDER - 1, 0)])
-    return SplineReference(start_us, dt_us, control, tilts_of(current))
+    return SplineReference(start_us, dt_us, control, tilts=tilts_of(current))
 
 
 def restart_reference(
@@ -220,21 +228,31 @@ def remaining_time(reference: Reference, t_us: TimeUs) -> float:
     return max(0.0, (reference.end_us - t_us) / US_PER_S)
 
 
+def tilt(reference: Tilted, start_us: TimeUs, time: Array, R: Array) -> None:
+    """Turn attitudes by the blends of a reference, in place.
+
+    Args:
+        reference: Gives the blends.
+        start_us: Zero of the times [us].
+        time: (k,) [s].
+        R: Derivatives 0..6 of the attitude without them, (k, 7, 3, 3).
+    """
+    blends = np.empty((len(reference.tilts), 5))
+    for row, b in zip(blends, reference.tilts, strict=True):
+        row[0], row[1] = b.start_us - start_us, b.duration_us
+        row[:2] /= US_PER_S
+        row[2:] = b.phi
+    _tilt(time, blends, _BINOMIAL, SMOOTH_RISE, R)
+
+
 @njit
 def _sample(
-    control: Array,
-    dt: float,
-    time: Array,
-    blends: Array,
-    basis: Array,
-    binomial: Array,
-    smooth: Array,
+    control: Array, dt: float, time: Array, basis: Array, binomial: Array
 ) -> tuple[Array, Array]:
-    """Kernel of `SplineReference.sample`."""
+    """Kernel of `SplineReference.sample`, without the blends of tilt."""
     n = len(time)
     p, R = np.empty((n, 7, 3)), np.zeros((n, 7, 3, 3))
     d, s = np.empty((7, 4)), np.empty(7)
-    turn, product = np.empty((7, 3, 3)), np.empty((7, 3, 3))
     axis = np.array([0.0, 0.0, 1.0])
     for q in range(n):
         evaluate(control, dt, time[q], d, basis)
@@ -243,12 +261,19 @@ def _sample(
             for c in range(3):
                 p[q, k, c] = d[k, c]
         _turn(axis, s, binomial, R[q])
+    return p, R
+
+
+@njit
+def _tilt(time: Array, blends: Array, binomial: Array, smooth: Array, R: Array) -> None:
+    """Kernel of `tilt`; a row of blends is start [s], duration [s] and phi [rad]."""
+    s, turn, product = np.empty(7), np.empty((7, 3, 3)), np.empty((7, 3, 3))
+    for q in range(len(time)):
         for b in range(len(blends)):
             _smooth_rise((time[q] - blends[b, 0]) / blends[b, 1], blends[b, 1], smooth, s)
             _turn(blends[b, 2:], s, binomial, turn)
             _leibniz(R[q], turn, binomial, product)
             R[q] = product
-    return p, R
 
 
 @njit

@@ -100,12 +100,12 @@ def _check(task: CircleTask | Figure8Task, reference: SplineReference, limits: L
     speed, accel = reference.max_speed_mps(), reference.max_acceleration_mps2()
     if speed > 1.001 * limits.v_max_mps:
         raise ConfigError(
-            f"the {task.kind} needs {speed:.2f} m/s but limits.v_max_mps = {limits.v_max_mps}: "
-            "make it smaller, lengthen period_s or raise the limit"
+            f"task: the {task.kind} needs {speed:.2f} m/s but limits.v_max_mps = "
+            f"{limits.v_max_mps}: make it smaller, lengthen period_s or raise the limit"
         )
     if accel > 1.001 * limits.a_max_mps2:
         raise ConfigError(
-            f"the {task.kind} needs {accel:.2f} m/s^2 but limits.a_max_mps2 = "
+            f"task: the {task.kind} needs {accel:.2f} m/s^2 but limits.a_max_mps2 = "
             f"{limits.a_max_mps2}: make it smaller, lengthen period_s or raise the limit"
         )
 

@@ -36,11 +36,11 @@ def check_scenario(scenario: Scenario) -> None:
     _check_names(scenario.world.obstacles)
     _check_map(scenario)
     if isinstance(scenario.start, AirStart):
-        _check_place(scenario, "start.payload_m", scenario.start.payload_m)
+        check_place(scenario, "start.payload_m", scenario.start.payload_m)
     else:
         _check_ground(scenario, scenario.start)
     if isinstance(scenario.task, GoTo):
-        _check_place(scenario, "task.goal_m", scenario.task.goal_m)
+        check_place(scenario, "task.goal_m", scenario.task.goal_m)
     _check_events(scenario)
 
 
@@ -92,6 +92,30 @@ def _check_team(team: Team) -> None:
     if team.payload.kind == "rigid":
         hooks = team.hooks_L()
         _check_gap("team.hooks_m", "hooks", np.arctan2(hooks[:, 1], hooks[:, 0]))
+        _check_apart(team, hooks[:, :2])
+
+
+def _check_apart(team: Team, hooks: Array) -> None:
+    """Refuse cables that lean across the load or cross each other; hooks x and y, (n, 2) [m].
+
+    Places at the same share of two cables come nearest to each other seen from above.
+    """
+    out = team.formation_dirs_L()[:, :2]
+    i = int(np.argmin(np.sum(hooks * out, axis=1)))
+    if hooks[i] @ out[i] < 0.0:
+        raise ConfigError(
+            f"team.hooks_m: cable {i} would lean across the load from its hook {_point(hooks[i])}; "
+            "order hooks_m as team.azimuths_deg, each hook on its vehicle's side"
+        )
+    reach = team.cable_lengths_m()[:, None] * out
+    for i, k in combinations(range(team.count), 2):
+        d0, d1 = hooks[i] - hooks[k], reach[i] - reach[k]
+        share = min(1.0, max(0.0, -float(d0 @ d1) / max(float(d1 @ d1), 1e-12)))
+        if np.linalg.norm(d0 + share * d1) < 0.5 * np.linalg.norm(d0):
+            raise ConfigError(
+                f"team.hooks_m: cables {i} and {k} would cross between load and vehicles; order "
+                "hooks_m as team.azimuths_deg, each hook on its vehicle's side"
+            )
 
 
 def _check_limits(scenario: Scenario) -> None:
@@ -154,8 +178,17 @@ def map_box(scenario: Scenario) -> tuple[Array, Array]:
     return low, np.minimum(origin + frame.size_m, room.max_m)
 
 
-def _check_place(scenario: Scenario, key: str, place: Vec3) -> None:
-    """The team's shape fits at a place of the load, clear of walls and of what stands."""
+def check_place(scenario: Scenario, key: str, place: Vec3 | Array) -> None:
+    """The team's shape fits at a place of the load, clear of walls and of what stands.
+
+    Args:
+        scenario: Team, map, room and obstacles.
+        key: What the place is of, in the sentence.
+        place: Load's centre of mass, (3,) [m].
+
+    Raises:
+        ConfigError: When it does not.
+    """
     shape, p = team_shape(scenario.team, GOAL_MARGIN_M), np.array(place)
     low, high = map_box(scenario)
     if np.any(p < low) or np.any(p > high):

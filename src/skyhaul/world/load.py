@@ -210,9 +210,9 @@ def _read(source: str, folder: Path = Path()) -> _File:
         text = (shipped / f"{source}.yaml").read_text("utf-8")
         return _File(source, text, Path("shipped"), f"shipped {source}")
     path = folder / source
-    if not path.is_file():
-        raise FileError(_no_such(source, path))
     try:
+        if not path.is_file():
+            raise FileError(_no_such(source, path))
         data = path.read_bytes()
     except OSError as error:
         raise FileError(f"{source}: cannot be read: {error.strerror}") from None

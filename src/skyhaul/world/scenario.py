@@ -234,9 +234,12 @@ class HoverTask(Params):
     kind: Literal["hover"] = "hover"
     duration_s: float = 10.0
     """How long [s]."""
+    within_m: float = 0.5
+    """The load must never be farther from its reference [m]."""
 
     def __post_init__(self) -> None:
         _check_positive(self.duration_s, "duration_s")
+        _check_positive(self.within_m, "within_m")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,11 +253,14 @@ class CircleTask(Params):
     """Time of a lap at speed [s]."""
     laps: int = 3
     """Full laps, run-up and run-out not counted."""
+    within_m: float = 0.5
+    """The load must never be farther from its reference [m]."""
 
     def __post_init__(self) -> None:
         _check_positive(self.radius_m, "radius_m")
         _check_positive(self.period_s, "period_s")
         _check_positive(self.laps, "laps")
+        _check_positive(self.within_m, "within_m")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,12 +276,15 @@ class Figure8Task(Params):
     """Full laps."""
     yaw_amplitude_deg: float = 0.0
     """The load's yaw swings this far, once a lap [deg]."""
+    within_m: float = 0.5
+    """The load must never be farther from its reference [m]."""
 
     def __post_init__(self) -> None:
         if not min(self.size_m) >= 0.0:
             raise ValueError(f"size_m must be >= 0, got {self.size_m}")
         _check_positive(self.period_s, "period_s")
         _check_positive(self.laps, "laps")
+        _check_positive(self.within_m, "within_m")
 
 
 Task = GoTo | HoverTask | CircleTask | Figure8Task
