@@ -9,6 +9,7 @@ import pytest
 from skyhaul.geometry.quaternion import quat_exp, quat_mul, quat_rotate
 from skyhaul.perception.team.api import SurveyedTeam, TeamReports
 from skyhaul.perception.team.fused import FusedTeam
+from skyhaul.perception.vio.imu import NO_SAMPLES
 
 SEEDS = range(8)
 CHI2_95_12 = 21.03
@@ -200,11 +201,49 @@ def test_a_silent_vehicle_is_borne(flight):
     assert np.linalg.norm(e[500:, :3], axis=1).max() < 0.1
 
 
+@pytest.mark.parametrize("missing", [1, 3, 75])
+def test_a_gap_in_a_vehicle_s_imu_is_bridged(flight, missing):
+    """Its pose moves on, 8 ms late at most, and its cable's force is known meanwhile."""
+    made, first = flight(6, 3.0), 700
+    reports = []
+    for k, r in enumerate(made.reports):
+        last = r.vehicles[3]
+        if first <= k < first + missing:
+            last = replace(last, imu=NO_SAMPLES)
+        reports.append(replace(r, vehicles=(*r.vehicles[:3], last)))
+    whole, estimates = follow(made)[0], follow(made, reports)[0]
+    off = [
+        np.linalg.norm(x.team.p_WB[3] - y.team.p_WB[3])
+        for x, y in zip(estimates, whole, strict=True)
+    ]
+    moved = np.linalg.norm(made.p_WB[first + missing, 3] - made.p_WB[first, 3])
+    assert max(off[first : first + missing + 5]) < max(0.25 * moved, 0.01)
+    assert max(off[first + missing + 100 :]) < 0.01
+    e = np.array([made.error(k, x) for k, x in enumerate(estimates)])
+    assert np.linalg.norm(e[500:, :3], axis=1).max() < 0.05
+    tension = np.array([x.cables.tension[3] for x in estimates]) - made.tension[:, 3]
+    assert np.abs(tension[first : first + missing]).max() < 0.2
+
+
 def test_a_load_that_was_taken_away_is_found_by_the_tag(flight):
     made = flight(7, 2.0)
     start = replace(made.start, p_WL=made.start.p_WL + np.array([0.6, -0.4, 0.2]))
     estimates = follow(made, start=start)[0]
     assert np.linalg.norm(estimates[-1].team.p_WL - made.p_WL[1000]) < 0.06
+
+
+def test_a_load_is_not_placed_by_a_vehicle_that_was_released(flight):
+    made = flight(7, 2.0)
+    reports = []
+    for reading in made.reports:
+        v = reading.vehicles[0]  # the first that sees the tag; its odometry raves
+        vio = v.vio and replace(v.vio, state=replace(v.vio.state, p_WI=v.vio.state.p_WI + 5.0))
+        v = replace(v, attached=False, vio=vio, thrust=0.0)
+        reports.append(replace(reading, vehicles=(v, *reading.vehicles[1:])))
+    start = replace(made.start, p_WL=made.start.p_WL + np.array([0.6, -0.4, 0.2]))
+    estimates, memory, _ = follow(made, reports, start=start)
+    assert memory.state.tally[1] >= 12
+    assert np.linalg.norm(estimates[-1].team.p_WL - made.p_WL[1000]) < 0.08
 
 
 def test_numbers_out_of_range_are_refused():

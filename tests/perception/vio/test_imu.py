@@ -4,7 +4,15 @@ import pytest
 
 from skyhaul.errors import SensorDataError
 from skyhaul.perception.vio.api import TrackFrame
-from skyhaul.perception.vio.imu import ImuNoise, join, segments, since
+from skyhaul.perception.vio.imu import (
+    BLIND_MPS2,
+    BLIND_RAD_S,
+    ImuNoise,
+    blind_s2,
+    join,
+    segments,
+    since,
+)
 from skyhaul.perception.vio.imu_check import check_imu, coherence
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.sensors.api import ImuReading
@@ -52,6 +60,34 @@ def test_since_keeps_the_sample_before():
     np.testing.assert_array_equal(since(ramp(), -5).stamp_us, ramp().stamp_us)
     both = join(ramp(3), changed(ramp(3), stamp_us=ramp(3).stamp_us + 15_000))
     np.testing.assert_array_equal(both.stamp_us, 5_000 * np.arange(6))
+
+
+def with_gap(first_us, last_us, k=201, step_us=5_000):
+    imu = ramp(k, step_us)
+    kept = (imu.stamp_us <= first_us) | (imu.stamp_us >= last_us)
+    return ImuReading(imu.stamp_us[kept], imu.gyro_I[kept], imu.accel_I[kept])
+
+
+def test_missing_samples_add_the_noise_of_an_unknown_turn():
+    noise, imu = ImuNoise(), with_gap(500_000, 700_000)
+    assert noise.through_gaps(ramp(201), 300_000, 900_000) == noise
+    assert noise.through_gaps(imu, 100_000, 500_000) == noise
+    wide = noise.through_gaps(imu, 300_000, 900_000)
+    # Over the interval of 0.6 s: white noise turns by density sqrt(0.6 s), the gap by 1 rad/s 0.2 s
+    assert wide.gyro_rad_s_rthz * np.sqrt(0.6) == pytest.approx(BLIND_RAD_S * 0.2, rel=1e-4)
+    assert wide.accel_mps2_rthz * np.sqrt(0.6) == pytest.approx(BLIND_MPS2 * 0.2, rel=1e-4)
+
+
+def test_a_gap_counts_the_same_however_it_is_cut():
+    imu = with_gap(500_000, 700_000)
+    parts = [blind_s2(imu, a, a + 50_000) for a in range(400_000, 800_000, 50_000)]
+    assert sum(parts) == pytest.approx(0.2**2)
+    assert parts[:2] == [0.0, 0.0]
+
+
+def test_silence_since_the_last_sample_is_a_gap():
+    assert blind_s2(ramp(11), 50_000, 62_000) == 0.0
+    assert blind_s2(ramp(11), 50_000, 150_000) == pytest.approx(0.1**2)
 
 
 def test_noise_must_be_positive():

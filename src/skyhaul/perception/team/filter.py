@@ -3,7 +3,7 @@
 
 from typing import NamedTuple
 
-from skyhaul.geometry.kernels import quat_inv_rotate
+from skyhaul.geometry.kernels import mat_t_vec, quat_inv_rotate
 from skyhaul.jit import njit
 from skyhaul.perception.team.cables import (
     add_balance,
@@ -16,10 +16,11 @@ from skyhaul.perception.team.cables import (
     rest,
     unbiased,
 )
-from skyhaul.perception.team.layout import FilterParams, FilterState, copied
+from skyhaul.perception.team.layout import KEPT, FilterParams, FilterState, copied
 from skyhaul.perception.team.motion import (
     advance_load,
     advance_vehicle,
+    latest,
     load_at,
     take_odometry,
     three,
@@ -31,6 +32,12 @@ from skyhaul.types import Array, Mask
 WINDOW_TICKS = 25
 """Cables and the load's balance correct the state once in so many ticks."""
 _STEP_US = 2_000
+_LATE_US = 8_000.0
+"""A vehicle's IMU is silent when no sample has come for this long [us]."""
+_BRIDGE_S = 0.3
+"""How long a vehicle is moved on without samples [s]."""
+_FADE = 0.95
+"""What is left of a rate after a period without a sample."""
 _LOST_US = 25_000.0
 """The load's IMU is silent when no sample has come for this long [us]."""
 
@@ -58,7 +65,13 @@ def tick(
             force_at_rest(p, s, i)
     for k in range(new.samples.shape[0]):
         row = new.samples[k]
-        advance_vehicle(p, s, int(row[0]), row[1], three(row, 2), three(row, 5))
+        i = int(row[0])
+        _bridge(p, s, i, row[1] - 1e6 * p.dt[0], 0.0)
+        if row[1] > latest(s, i):
+            advance_vehicle(p, s, i, row[1], three(row, 2), three(row, 5))
+            s.made_up[i] = 0.0
+    for i in range(n):
+        _bridge(p, s, i, t_us - _LATE_US, thrust[i] - before.nav_last[i, 11])
     for k in range(new.odometry.shape[0]):
         row = new.odometry[k]
         take_odometry(p, s, int(row[0]), row[1], row[2:18], row[18:].reshape(6, 6))
@@ -86,6 +99,31 @@ def tick(
         if s.load_us[2] > 0.2:
             correct_at_rest(s)
     return s, read_out(p, s, t_us, attached)
+
+
+@njit
+def _bridge(p: FilterParams, s: FilterState, i: int, until_us: float, push: float) -> None:
+    """Move vehicle i on to a time without its IMU, for `_BRIDGE_S` at most; then it stands.
+
+    Its rate fades, as it does under attitude control, and the cable pulls on as before: the
+    specific force changes with the thrust alone, by `push` / m along the rotors [N].
+    """
+    dt_us = 1e6 * p.dt[0]
+    change = mat_t_vec(p.R_BI, (0.0, 0.0, push / p.mass[i]))
+    while (
+        s.head[i] > 0.0
+        and until_us - latest(s, i) > 0.5 * dt_us
+        and s.made_up[i] * p.dt[0] < _BRIDGE_S
+    ):
+        row, x = s.past[i, int(s.head[i] - 1.0) % KEPT], s.nav[i]
+        w = (_FADE * (row[1] - x[10]), _FADE * (row[2] - x[11]), _FADE * (row[3] - x[12]))
+        gyro = (w[0] + x[10], w[1] + x[11], w[2] + x[12])
+        accel = (row[4] + change[0], row[5] + change[1], row[6] + change[2])
+        advance_vehicle(p, s, i, row[0] + dt_us, gyro, accel)
+        for c in range(3):
+            s.nav_last[i, 3 + c] = 0.0
+        s.made_up[i] += 1.0
+        change = (0.0, 0.0, 0.0)
 
 
 @njit

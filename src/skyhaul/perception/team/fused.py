@@ -211,6 +211,7 @@ class FusedEstimator:
             P=np.diag(sigma**2),
             past=np.zeros((n, KEPT, 7)),
             head=np.zeros(n),
+            made_up=np.zeros(n),
             window=np.zeros((n, 8)),
             balance=np.zeros((n, 4)),
             sums=np.zeros(7),
@@ -267,9 +268,9 @@ class FusedEstimator:
         return _table(rows, 7)
 
     def _place(self, s: FilterState, reading: TeamReports) -> None:
-        """Place the load where the tag is now, by the first vehicle that sees it; in place."""
+        """Place the load where the tag is now, by the first that sees and holds it; in place."""
         for i, report in enumerate(reading.vehicles):
-            if report is not None and report.tag is not None:
+            if report is not None and report.tag is not None and report.attached:
                 pose = tag_pose(report.tag, self.down, self.kernel.corners_L)
                 if pose is None:
                     continue

@@ -142,6 +142,13 @@ def _load_transition(x: Array, w: Vec3Out, f: Vec3Out, dt: float, F: Array) -> N
 
 
 @njit
+def latest(s: FilterState, i: int) -> float:
+    """End of the last sample of vehicle i's IMU [us]; -1 before the first."""
+    at: float = s.past[i, int(s.head[i] - 1.0) % KEPT, 0] if s.head[i] > 0.0 else -1.0
+    return at
+
+
+@njit
 def advance_vehicle(
     p: FilterParams, s: FilterState, i: int, t_us: float, gyro: Vec3Out, accel: Vec3Out
 ) -> None:

@@ -148,7 +148,10 @@ class EkfEstimator:
         if memory.filter is None:
             return self._begin(memory)
         samples = segments(memory.intake.imu, memory.stamp_us, tracks.stamp_us)
-        filter_, noise = memory.filter, self.params.noise.over(samples)
+        assumed = self.params.noise.through_gaps(
+            memory.intake.imu, memory.stamp_us, tracks.stamp_us
+        )
+        filter_, noise = memory.filter, assumed.over(samples)
         predicted, Phi, Q = advance(filter_.state, samples, noise)
         due_us = memory.stamp_us + round(0.99 * self.params.keyframe_s * US_PER_S)
         if tracks.stamp_us < due_us:

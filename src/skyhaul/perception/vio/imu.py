@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """IMU samples between two times, the noise of an IMU, and how a state moves through them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from skyhaul.types import GRAVITY_MPS2, US_PER_S, Array, TimeUs
 
 GRAVITY_W = np.array([0.0, 0.0, -GRAVITY_MPS2])
 GRAVITY_W.setflags(write=False)
+GAP_PERIODS = 3.0
+"""Samples farther apart than so many usual periods leave a gap."""
+BLIND_RAD_S, BLIND_MPS2 = 1.0, 5.0
+"""How far rate and force in a gap may be from the line between its ends."""
 SPELL_S = 2.0
 """How long a turn or a push of a vehicle lasts, about [s]."""
 
@@ -49,6 +53,28 @@ class ImuNoise(Params):
             ]
         )
 
+    def through_gaps(self, imu: ImuReading, from_us: TimeUs, to_us: TimeUs) -> "ImuNoise":
+        """The same with what nobody measured: unknown turns and pushes while samples are missing.
+
+        A rate that is unknown by sigma for a gap of length G turns by sigma G; white noise that
+        does the same has a density of sigma sqrt(G) in it. Averaged over the interval, of which
+        h lies in the gap, its square is sigma^2 G h / (to - from).
+
+        Args:
+            imu: Samples in order of time, with some before the interval.
+            from_us: Begin of the interval.
+            to_us: Its end.
+        """
+        share = blind_s2(imu, from_us, to_us) * US_PER_S / max(to_us - from_us, 1)
+        if share == 0.0:
+            return self
+        root = float(np.sqrt(share))
+        return replace(
+            self,
+            gyro_rad_s_rthz=float(np.hypot(self.gyro_rad_s_rthz, BLIND_RAD_S * root)),
+            accel_mps2_rthz=float(np.hypot(self.accel_mps2_rthz, BLIND_MPS2 * root)),
+        )
+
     def over(self, samples: Array) -> Array:
         """The four for some segments, errors of scale and axes as noise in their place.
 
@@ -82,6 +108,24 @@ def since(imu: ImuReading, stamp_us: TimeUs) -> ImuReading:
     """Samples from the last one at or before a time on: all that `segments` from it needs."""
     first = max(0, int(np.searchsorted(imu.stamp_us, stamp_us, side="right")) - 1)
     return ImuReading(imu.stamp_us[first:], imu.gyro_I[first:], imu.accel_I[first:])
+
+
+def blind_s2(imu: ImuReading, from_us: TimeUs, to_us: TimeUs) -> float:
+    """Sum of G h over gaps of length G, of which h lies in an interval; see `through_gaps` [s^2].
+
+    A gap is where neighbouring samples, or the last one and the end, lie farther apart than
+    `GAP_PERIODS` usual periods.
+    """
+    have = imu.stamp_us
+    if len(have) < 3:
+        return 0.0
+    usual = float(np.median(np.diff(have)))
+    last = max(int(have[-1]), to_us)
+    begin, end = have, np.append(have[1:], last)
+    length = (end - begin).astype(np.float64)
+    inside = np.minimum(end, to_us) - np.maximum(begin, from_us)
+    gap = (length > GAP_PERIODS * usual) & (inside > 0)
+    return float(length[gap] @ inside[gap]) / US_PER_S**2
 
 
 def segments(imu: ImuReading, from_us: TimeUs, to_us: TimeUs) -> Array:

@@ -108,7 +108,8 @@ class SmootherEstimator:
         window, now = memory.window, tracks.stamp_us
         samples = segments(memory.intake.imu, window.stamp_us, now)
         due_us = window.stamp_us + round(0.99 * self.params.keyframe_s * US_PER_S)
-        state, Phi, Q = advance(window.state, samples, self.params.noise.densities())
+        noise = self.params.noise.through_gaps(memory.intake.imu, window.stamp_us, now)
+        state, Phi, Q = advance(window.state, samples, noise.densities())
         covariance = Phi @ window.covariance @ Phi.T + Q
         if now < due_us:
             return memory, self._estimate(memory, state, covariance)
@@ -117,7 +118,8 @@ class SmootherEstimator:
         if rest is Rest.DESPITE:
             window = open_window(now, brought_to_rest(standing, state, covariance), tracks)
         else:
-            window = add_keyframe(self.setting(), window, samples, tracks, rest is Rest.YES)
+            setting = replace(self.setting(), noise=noise)
+            window = add_keyframe(setting, window, samples, tracks, rest is Rest.YES)
         seen = window.used >= self.params.least_landmarks or rest is not Rest.NO
         memory = replace(memory, window=window, seen_us=now if seen else memory.seen_us)
         return memory, self._estimate(memory, window.state, window.covariance)
