@@ -43,15 +43,36 @@ def first_camera(frame):
     return TrackFrame(frame.stamp_us, frame.track_id[one], frame.camera[one], frame.xy[one])
 
 
+def as_measured(imu):
+    return imu
+
+
+def gap(imu):
+    """Nothing for 0.3 s."""
+    kept = (imu.stamp_us < 5_000_000) | (imu.stamp_us > 5_300_000)
+    return ImuReading(imu.stamp_us[kept], imu.gyro_I[kept], imu.accel_I[kept])
+
+
+def absurd(imu):
+    """Now and then what no IMU measures."""
+    gyro, accel = imu.gyro_I.copy(), imu.accel_I.copy()
+    odd = (imu.stamp_us > 3_000_000) & (imu.stamp_us // 1000 % 1000 < 5)
+    second = imu.stamp_us // 1_000_000
+    gyro[odd & (second % 2 == 0)] = 1e160
+    accel[odd & (second % 3 == 0)] = np.nan
+    accel[odd & (second % 3 == 1)] = -1e30
+    return ImuReading(imu.stamp_us, gyro, accel)
+
+
 @cache
-def follow(kind, flight, dark=(0.0, 0.0), start=None, hide=blind):
+def follow(kind, flight, dark=(0.0, 0.0), start=None, hide=blind, spoil=as_measured):
     """Estimates of a flight whose cameras see less in an interval [s], and their memories."""
     recording = flown(flight).recording
     estimator = kind.build(recording.rig, recording.sigma)
     memory, out = estimator.init(start or StartPose()), []
     for imu, frame in recording.readings():
         hidden = dark[0] <= frame.stamp_us / 1e6 < dark[1]
-        memory, estimate = estimator.step(memory, imu, hide(frame) if hidden else frame)
+        memory, estimate = estimator.step(memory, spoil(imu), hide(frame) if hidden else frame)
         out.append(estimate)
     return out, memory
 
@@ -110,6 +131,31 @@ def test_the_error_is_within_its_covariance(kind):
     matched = scored(estimates, PLAIN)
     nees = pose_nees(matched, np.array([e.covariance[:6, :6] for e in known(estimates)]))
     assert 1.0 < np.mean(nees) < 9.0
+
+
+@every_estimator
+def test_a_gap_in_the_imu_widens_the_covariance_and_is_borne(kind):
+    estimates = follow(kind, PLAIN, spoil=gap)[0]
+    whole = {e.stamp_us: e for e in follow(kind, PLAIN)[0]}
+    inside = [e for e in estimates if 5_100_000 <= e.stamp_us <= 5_300_000]
+    for e in inside:
+        assert np.trace(e.covariance[V, V]) > 2.0 * np.trace(whole[e.stamp_us].covariance[V, V])
+    matched = scored(estimates, PLAIN)
+    nees = pose_nees(matched, np.array([e.covariance[:6, :6] for e in known(estimates)]))
+    assert np.mean(nees) < 9.0
+    assert np.max(nees) < 22.5  # 99.9 %
+    assert trajectory_error(matched).ate_m < 0.01 * 6.0
+
+
+@every_estimator
+def test_what_no_imu_measures_counts_as_missing(kind):
+    estimates, whole = follow(kind, PLAIN, spoil=absurd)[0], follow(kind, PLAIN)[0]
+    off = [
+        np.linalg.norm(a.state.p_WI - b.state.p_WI)
+        for a, b in zip(estimates, whole, strict=True)
+        if a.state is not None and b.state is not None
+    ]
+    assert max(off) < 0.02
 
 
 @every_estimator

@@ -18,6 +18,8 @@ GAP_PERIODS = 3.0
 """Samples farther apart than so many usual periods leave a gap."""
 BLIND_RAD_S, BLIND_MPS2 = 1.0, 5.0
 """How far rate and force in a gap may be from the line between its ends."""
+MOST_RAD_S, MOST_MPS2 = 70.0, 640.0
+"""The widest ranges on sale, 4000 deg/s and 64 g: no sample is beyond them."""
 SPELL_S = 2.0
 """How long a turn or a push of a vehicle lasts, about [s]."""
 
@@ -102,6 +104,15 @@ def join(a: ImuReading, b: ImuReading) -> ImuReading:
         np.concatenate([a.gyro_I, b.gyro_I]),
         np.concatenate([a.accel_I, b.accel_I]),
     )
+
+
+def believable(imu: ImuReading) -> ImuReading:
+    """Samples that an IMU can measure; the others are as good as missing."""
+    fine = np.all(np.abs(imu.gyro_I) <= MOST_RAD_S, axis=1)  # false for nan
+    fine &= np.all(np.abs(imu.accel_I) <= MOST_MPS2, axis=1)
+    if fine.all():
+        return imu
+    return ImuReading(imu.stamp_us[fine], imu.gyro_I[fine], imu.accel_I[fine])
 
 
 def since(imu: ImuReading, stamp_us: TimeUs) -> ImuReading:

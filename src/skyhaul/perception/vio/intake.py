@@ -7,7 +7,7 @@ import numpy as np
 
 from skyhaul.errors import SensorDataError
 from skyhaul.perception.vio.api import TrackFrame
-from skyhaul.perception.vio.imu import NO_SAMPLES, join, since
+from skyhaul.perception.vio.imu import NO_SAMPLES, believable, join, since
 from skyhaul.perception.vio.imu_check import check_imu
 from skyhaul.sensors.api import ImuReading
 from skyhaul.types import US_PER_S, TimeUs
@@ -31,7 +31,7 @@ class Intake:
         return self.frames[-1].stamp_us
 
     def take(self, imu: ImuReading, tracks: TrackFrame) -> "Intake":
-        """Add what came.
+        """Add what came; once the start is checked, samples that no IMU measures count as missing.
 
         Raises:
             SensorDataError: When time goes back, or when the first second is nonsense.
@@ -47,7 +47,7 @@ class Intake:
                 f"IMU: a sample at {new[0]} us came after one at {have[-1]} us; "
                 f"stamps must grow from sample to sample"
             )
-        samples = join(self.imu, imu)
+        samples = join(self.imu, believable(imu) if self.checked else imu)
         checked = self.checked
         oldest_us = tracks.stamp_us - round(self.keep_s * US_PER_S)
         frames = tuple(f for f in (*self.frames, tracks) if f.stamp_us >= oldest_us)

@@ -11,7 +11,7 @@ from skyhaul.perception.vio.api import CameraRig, StartPose, VioEstimate, VioEst
 from skyhaul.perception.vio.beginning import Beginning
 from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.front_end import FeatureTracker, FrontEnd, TrackerMemory
-from skyhaul.perception.vio.imu import NO_SAMPLES, ImuNoise, join, segments, since
+from skyhaul.perception.vio.imu import NO_SAMPLES, ImuNoise, believable, join, segments, since
 from skyhaul.perception.vio.preintegration import preintegrate
 from skyhaul.perception.vio.smoother import SmootherVio
 from skyhaul.perception.vio.standing import Standing
@@ -148,7 +148,7 @@ class VehicleOdometry:
         frames = tuple(f for f in reading.frames if f.stamp_us > memory.stamp_us)
         memory = replace(
             memory,
-            recent=join(memory.recent, imu),
+            recent=join(memory.recent, believable(imu)),
             fresh=join(memory.fresh, imu),
             waiting=(*memory.waiting, *frames),
         )
