@@ -34,12 +34,12 @@ class Folder:
     """Stands in for the recorder: makes the folder and one file, and knows whether it flew."""
 
     def __init__(self, folder: Path, config: RunConfig, seed: int) -> None:
-        self._fresh = create(folder, config, origin(seed))
+        self._made = create(folder, config, origin(seed))
         self.folder, self.flown = folder, False
 
     def withdraw(self) -> bool:
         if not self.flown:
-            remove(self.folder, fresh=self._fresh)
+            remove(self.folder, self._made)
         return not self.flown
 
 
@@ -111,6 +111,9 @@ def test_a_refused_flight_leaves_nothing(
     refusal = ConfigError("start: vehicle 1 stands in a wall")
     monkeypatch.setattr(command, "fly", told(refusal, flown=False))
     assert main(["run", "hover", "--out", "mine"]) == 1
+    assert list(written.iterdir()) == []
+    assert main(["run", "hover", "--out", "deep/down/mine"]) == 1
+    assert main(["run", "hover"]) == 1
     assert list(written.iterdir()) == []
     (written / "mine").mkdir()
     assert main(["run", "hover", "--out", "mine"]) == 1

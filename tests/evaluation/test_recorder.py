@@ -103,10 +103,10 @@ def test_config_reads_back_equal_and_can_be_flown_again(run_folder: Path) -> Non
 @pytest.mark.parametrize(
     ("content", "part"),
     [
-        (b"\x00\xff\xfe", "but no YAML"),
-        (b"team: [1, 2", "but no YAML"),
-        (b"- 1\n- 2\n", "but no mapping"),
-        (b"", "but no mapping"),
+        (b"\x00\xff\xfe", "is damaged: it is no YAML"),
+        (b"team: [1, 2", "is damaged: it is no YAML"),
+        (b"- 1\n- 2\n", "is damaged: it is no mapping"),
+        (b"", "is damaged: it is no mapping"),
         (b"# origin: {}\nteam: {count: 40}\n", "count must lie in 1..8, got 40"),
         (b"# origin: {seed\nteam: {count: 4}\n", "its line '# origin:'"),
         (b"team: {count: 4}\n", "has no line '# origin:'"),

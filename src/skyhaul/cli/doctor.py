@@ -89,8 +89,9 @@ def team_margins(team: Team) -> list[tuple[str, str]]:
         ("largest thrust, all", f"{arrays.thrust_max.sum():.2f} N"),
         ("hover thrust / largest", f"{np.max(thrust / arrays.thrust_max):.2f}"),
         (
-            f"heaviest load, at {THRUST_SHARE_MAX:.0%} of the thrust",
-            f"{heaviest_load_kg(team):.2f} kg; it is {arrays.m_L:.2f} kg",
+            "heaviest load",
+            f"{heaviest_load_kg(team):.2f} kg at {THRUST_SHARE_MAX:.0%} of the thrust; "
+            f"it is {arrays.m_L:.2f} kg",
         ),
         ("vehicles that lift it alone", f"{lifts} of {team.count}"),
         ("cable angle", f"{np.degrees(team.cable_angle_rad):.1f} deg"),

@@ -53,11 +53,11 @@ class FolderTakenError(FileError):
     """The folder is not empty: it holds another run, or something else."""
 
 
-def create(folder: Path, config: Scenario, made: Origin) -> bool:
+def create(folder: Path, config: Scenario, source: Origin) -> tuple[Path, ...]:
     """Take a new or empty folder for a run; its `config.yaml` is the lock.
 
     Returns:
-        Whether the folder was made.
+        The folders that were made, the deepest first; none when it was there.
 
     Raises:
         FolderTakenError: when it is not empty, or another process is faster.
@@ -65,42 +65,43 @@ def create(folder: Path, config: Scenario, made: Origin) -> bool:
     """
     taken = FolderTakenError(f"{folder}: is not empty; give a new or an empty folder")
     try:
-        fresh = _make(folder)
-        if not fresh and any(folder.iterdir()):
+        made = _make(folder)
+        if not made and any(folder.iterdir()):
             raise taken
         lock = (folder / CONFIG).open("x", encoding="utf-8")
     except FileExistsError:
         raise taken from None
     except OSError as fault:
         raise FileError(f"{folder} cannot be made: {fault.strerror}") from fault
-    text = _HEAD.format(seed=made.seed) + _ORIGIN + json.dumps(vars(made)) + "\n"
+    text = _HEAD.format(seed=source.seed) + _ORIGIN + json.dumps(vars(source)) + "\n"
     try:
         with lock:
             lock.write(text + dump_config(config))
     except OSError as fault:
-        remove(folder, fresh=fresh)
+        remove(folder, made)
         raise FileError(f"{folder / CONFIG} cannot be written: {fault.strerror}") from fault
-    return fresh
+    return made
 
 
-def remove(folder: Path, *, fresh: bool) -> None:
+def remove(folder: Path, made: tuple[Path, ...]) -> None:
     """Undo `create`, and what a flight wrote that has not begun; nothing else is touched."""
     for name in (LOG, STATES, CONFIG):
         (folder / name).unlink(missing_ok=True)
-    if fresh:
-        with suppress(OSError):
-            folder.rmdir()
+    with suppress(OSError):  # somebody else may have put something there
+        for path in made:
+            path.rmdir()
 
 
-def _make(folder: Path) -> bool:
-    """Make a folder unless it is there; whether it was made."""
+def _make(folder: Path) -> tuple[Path, ...]:
+    """Make a folder unless it is there; what was made, the deepest first."""
+    missing = tuple(p for p in (folder, *folder.parents) if not p.exists())
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
         if not folder.is_dir():
             raise FileError(f"{folder}: is a file; give a folder") from None
-        return False
-    return True
+        return ()
+    return missing
 
 
 def read_config(folder: Path) -> tuple[Scenario, Origin]:
@@ -112,14 +113,14 @@ def read_config(folder: Path) -> tuple[Scenario, Origin]:
     path = folder / CONFIG
     if not path.is_file():
         raise FileError(f"{folder} is no run folder: it has no {CONFIG}")
-    damaged = f"{path} is damaged: it is not what a run wrote"
+    damaged = f"{path} is damaged"
     try:
         text = path.read_text(encoding="utf-8")
         whole = yaml.safe_load(text)
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError):
-        raise FileError(f"{damaged}, but no YAML") from None
+        raise FileError(f"{damaged}: it is no YAML") from None
     if not isinstance(whole, dict):
-        raise FileError(f"{damaged}, but no mapping")
+        raise FileError(f"{damaged}: it is no mapping")
     known = {f.name for f in fields(Scenario)}
     tree: dict[str, Any] = {k: v for k, v in whole.items() if k in known}
     try:

@@ -45,7 +45,7 @@ class RunRecorder:
     def __init__(
         self, path: Path, config: Scenario, seed: int, energy: EnergyModel | None = None
     ) -> None:
-        self._fresh = folder.create(path, config, folder.origin(seed))
+        self._made = folder.create(path, config, folder.origin(seed))
         self.folder = path
         n = config.team.count
         obstacles = config.world.obstacles
@@ -58,7 +58,7 @@ class RunRecorder:
             self._states = GrowingParquet(path / folder.STATES, _schema(self._layout))
             self._log = McapLog(path / folder.LOG)
         except FileError:
-            folder.remove(path, fresh=self._fresh)
+            folder.remove(path, self._made)
             raise
         self._team_log = TeamLog(self._log, config, self._movers)
         self._events = EventsLog(self._log)
@@ -137,7 +137,7 @@ class RunRecorder:
             return False
         self._states.close()
         self._log.close()
-        folder.remove(self.folder, fresh=self._fresh)
+        folder.remove(self.folder, self._made)
         return True
 
     def __enter__(self) -> "RunRecorder":
