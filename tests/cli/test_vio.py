@@ -148,7 +148,7 @@ def test_loops_need_images_not_tracks_alone(folder, capsys):
     ("content", "message"),
     [
         (None, "does not exist"),
-        (b"", "column row_type is missing"),
+        (b"", "holds no line of data"),
         (b"\x00\x01\x02\xff\xfe", "is no"),
         (b"time,x,y\n1,2,3\n", "column row_type is missing"),
         ((",".join(COLUMNS) + "\n").encode(), "holds no row of kind imu"),

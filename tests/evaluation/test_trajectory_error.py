@@ -12,7 +12,7 @@ from skyhaul.evaluation.trajectory_error import (
     position_nees,
     trajectory_error,
 )
-from skyhaul.evaluation.trajectory_file import read_trajectory, write_tum
+from skyhaul.evaluation.trajectory_file import check_out, read_trajectory, write_tum
 from skyhaul.geometry.quaternion import R_to_quat, quat_to_R
 from skyhaul.geometry.so3 import rotation_z, so3_exp
 
@@ -170,10 +170,20 @@ def test_euroc_truth_has_w_first_and_integer_times(tmp_path):
         (b"", "holds no pose"),
         (b"# only a header\n", "holds no pose"),
         (b"\xff\xfe\x00\x01", "is no text file"),
-        (b"1 2 3\n", "line 1 has 3 numbers"),
+        (b"1 2 3\n", "line 1 is no pose: it has 3 numbers"),
         (b"a,b,c\n", "line 1 is no pose"),
-        (b"1 0 0 0 0 0 0 5\n", "no unit quaternion"),
-        (b"2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "must grow"),
+        (b"1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 5\n", "line 2 .* the length 5, no unit quaternion"),
+        (b"2 0 0 0 0 0 0 1\n\n1 0 0 0 0 0 0 1\n", "line 3: its time .* line 1 .* must grow"),
+        (b"1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2: its time .* must grow"),
+        (b"1 0 nan 0 0 0 0 1\n", "line 1 is no pose: 'nan' is not finite"),
+        (b"1 0 1e160 0 0 0 0 1\n", "line 1 is no pose: '1e160' is not finite or beyond 1e"),
+        (b"1 0 0 0 0 0 1e160 1\n", "line 1 is no pose: '1e160' is not finite or beyond 1e"),
+        (b"inf 0 0 0 0 0 0 1\n", "'inf' is not finite"),
+        (b"1e400 0 0 0 0 0 0 1\n", "'1e400' is not finite"),
+        (b"1403715273262142976 0 0 0 0 0 0 1\n", "is no time in seconds, rather nanoseconds"),
+        (b"1403715273.26,0,0,0,1,0,0,0\n", "is no time in whole nanoseconds"),
+        (b"99999999999999999999,0,0,0,1,0,0,0\n", "is no time in whole nanoseconds"),
+        (b"1 0 0 0 0 0 0 1 9\n", "line 1 is no pose: it has 9 numbers"),
     ],
 )
 def test_what_is_no_trajectory_is_refused_in_one_sentence(tmp_path, content, message):
@@ -187,3 +197,48 @@ def test_what_is_no_trajectory_is_refused_in_one_sentence(tmp_path, content, mes
 def test_a_missing_trajectory_is_refused(tmp_path):
     with pytest.raises(FileError, match="cannot be read: No such file"):
         read_trajectory(tmp_path / "none.txt")
+
+
+def test_no_motion_is_made_up_over_a_gap_either():
+    truth = path(61)
+    kept = np.r_[0:15, 45:61]  # 0.7 s, a gap of 1.55 s, 0.75 s
+    error = trajectory_error(pairs(truth.rows(kept), truth.rows(kept)))
+    assert error.rpe_pairs == 0
+    assert np.isnan(error.rpe_m)
+    assert trajectory_error(pairs(truth, truth)).rpe_pairs == 41
+
+
+def test_a_truth_of_one_pose_has_one_pair_at_its_time():
+    truth = path()
+    found = match(truth, truth.rows(np.array([7])))
+    np.testing.assert_array_equal(found.row, [7])
+    np.testing.assert_allclose(found.truth.p, truth.p[[7]])
+
+
+def test_a_trajectory_is_written_whole_or_not_at_all(tmp_path):
+    write_tum(tmp_path / "a.txt", path(5))
+    assert [f.name for f in tmp_path.iterdir()] == ["a.txt"]
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(FileError, match="cannot be written: Is a directory"):
+        write_tum(tmp_path / "folder", path(5))
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["a.txt", "folder"]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("there.txt", "is there already"),
+        ("folder", "is a folder"),
+        ("none/x.txt", "cannot be written: No such file"),
+        ("there.txt/x.txt", "cannot be written: Not a directory"),
+        ("x" * 300, "cannot be written: File name too long"),
+    ],
+)
+def test_a_place_that_takes_no_file_is_refused_before_there_is_one(tmp_path, name, message):
+    (tmp_path / "there.txt").write_text("mine")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(FileError, match=message):
+        check_out(tmp_path / name)
+    assert (tmp_path / "there.txt").read_text() == "mine"
+    check_out(tmp_path / "new.txt")
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["folder", "there.txt"]

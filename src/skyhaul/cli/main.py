@@ -2,7 +2,7 @@
 """Entry point of `skyhaul`: parse the command line, call one command, turn errors into one line.
 
 Exit codes: 0 done, 3 the mission failed or was interrupted, 1 bad input or a fault of ours,
-2 wrong usage.
+2 wrong usage; 130 `vio` was interrupted, it has no mission.
 """
 
 import argparse
@@ -14,6 +14,7 @@ from pathlib import Path
 from skyhaul.errors import SkyhaulError
 
 EXIT_OK, EXIT_ERROR, EXIT_USAGE, EXIT_FAILED = 0, 1, 2, 3
+EXIT_INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -30,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_ERROR
     except KeyboardInterrupt:
         print("skyhaul: interrupted", file=sys.stderr)
-        return EXIT_FAILED
+        return EXIT_INTERRUPTED if args.command == "vio" else EXIT_FAILED
     except Exception as error:
         if args.debug:
             raise
@@ -197,7 +198,7 @@ def _add_vio(vio: argparse.ArgumentParser) -> None:
     )
     vio.add_argument(
         "--sigma-px",
-        type=_positive,
+        type=_sigma_px,
         default=1.2,
         metavar="PX",
         help="standard deviation of a track (default: 1.2 px)",
@@ -284,10 +285,13 @@ def _whole(text: str, least: int, allowed: str) -> int:
     return int(text)
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be > 0, got {value}")
+def _sigma_px(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.01 <= value <= 100.0:
+        raise argparse.ArgumentTypeError(f"a number from 0.01 to 100 [px], got {text!r}")
     return value
 
 

@@ -4,32 +4,38 @@
 import argparse
 import json
 import math
+import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from skyhaul.cli.recording_bar import RecordingBar
+from skyhaul.cli.vio_source import open_source
 from skyhaul.errors import FileError
+from skyhaul.evaluation.dataset.table_file import NS_PER_S, seconds
 from skyhaul.evaluation.trajectory_error import (
+    MAX_GAP_S,
+    Matched,
     Trajectory,
     TrajectoryError,
     match,
     trajectory_error,
 )
-from skyhaul.evaluation.trajectory_file import read_trajectory, write_tum
+from skyhaul.evaluation.trajectory_file import check_out, read_trajectory, write_tum
 from skyhaul.perception.slam.loops import LoopMemory, LoopRules, on_map
 from skyhaul.perception.vio.api import Memory, StartPose, VioEstimate, VioEstimator, VioStatus
 from skyhaul.perception.vio.ekf import EkfVio
-from skyhaul.perception.vio.euroc import read_euroc
-from skyhaul.perception.vio.front_end import FrontEnd
 from skyhaul.perception.vio.recording import Recording, Views
 from skyhaul.perception.vio.smoother import SmootherVio
-from skyhaul.perception.vio.track_file import read_track_file
 from skyhaul.perception.vio.warm_up import warm_up
-from skyhaul.types import US_PER_S
+from skyhaul.types import US_PER_S, IntArray
 
 KINDS = {"smoother": SmootherVio, "ekf": EkfVio}
+LEAST_PAIRS = 3
+"""Fewer poses leave an alignment open."""
+SWAPPED_DEG = 3.0
+"""A smaller error over a second does not come from quaternions in a wrong order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +52,14 @@ class Played:
 
 
 def vio(args: argparse.Namespace) -> int:
-    """Run an estimator over a recording, print its errors; 0 done, 3 when it never had a state."""
+    """Run an estimator over a recording, print its errors."""
+    if args.out is not None:
+        check_out(args.out)
     truth = None if args.truth is None else read_trajectory(args.truth)
-    recording = open_recording(args.dataset, args.sigma_px)
+    source = open_source(args.dataset, args.sigma_px)
+    recording = source.recording
+    if truth is not None:
+        check_overlap(args, truth, source.time_ns)
     kind = KINDS[args.kind]()
     if args.loops and recording.images is None:
         raise FileError(
@@ -56,7 +67,9 @@ def vio(args: argparse.Namespace) -> int:
             f"EuRoC folder, or leave --loops out"
         )
     loops = LoopRules() if args.loops else None
-    played = play(kind.build(recording.rig, recording.sigma), recording, loops)
+    span_s = float(np.ptp(source.time_ns)) / NS_PER_S
+    with RecordingBar(f"{args.kind}: {args.dataset.name}", span_s, sys.stderr) as bar:
+        played = play(kind.build(recording.rig, recording.sigma), recording, loops, bar)
     if not played.trajectory.time_ns.size:
         raise FileError(
             f"{args.dataset}: no state was found in {played.duration_s:.1f} s; the recording must "
@@ -64,13 +77,13 @@ def vio(args: argparse.Namespace) -> int:
         )
     best = played.mapped or played.trajectory
     error = None if truth is None else score(best, truth, args)
-    if args.out is not None:
-        write_tum(args.out, best)
     summary = summarize(played, error)
     if played.mapped is not None:
         alone = None if truth is None else score(played.trajectory, truth, args).ate_m
         summary |= {"loops": played.loops, "ate_without_loops_m": _plain(alone)}
     about = {"dataset": str(args.dataset), "kind": args.kind}
+    if args.out is not None:
+        write_tum(args.out, best)
     if args.json:
         print(json.dumps(about | summary, indent=2))
     else:
@@ -78,21 +91,11 @@ def vio(args: argparse.Namespace) -> int:
     return 0
 
 
-def open_recording(path: Path, sigma_px: float) -> Recording:
-    """A recording by its path.
-
-    Raises:
-        FileError: When there is nothing, or nothing that we can read.
-    """
-    if not path.exists():
-        raise FileError(f"{path}: does not exist; give a feature-track CSV or an EuRoC folder")
-    if path.is_dir():
-        return read_euroc(path, sigma_px, FrontEnd())
-    return read_track_file(path, sigma_px)
-
-
 def play(
-    estimator: VioEstimator[Memory], recording: Recording, loops: LoopRules | None = None
+    estimator: VioEstimator[Memory],
+    recording: Recording,
+    loops: LoopRules | None = None,
+    bar: RecordingBar | None = None,
 ) -> Played:
     """Feed a recording to an estimator; its kernels are compiled before the clock starts."""
     warm_up(recording.rig)
@@ -102,10 +105,15 @@ def play(
     none: Views = ()
     frames = recording.views() if closer else ((i, f, none) for i, f in recording.readings())
     memory, places, estimates, rows = estimator.init(StartPose()), LoopMemory(), [], []
-    began = time.process_time()
+    if bar is not None:
+        bar.begin()
+    began, first_us = time.process_time(), None
     for imu, tracks, views in frames:
         memory, estimate = estimator.step(memory, imu, tracks)
         estimates.append(estimate)
+        first_us = estimate.stamp_us if first_us is None else first_us
+        if bar is not None:
+            bar.update((estimate.stamp_us - first_us) / US_PER_S, estimate.status.value)
         if estimate.state is None:
             continue
         if closer is not None and closer.due(places, estimate):
@@ -128,19 +136,60 @@ def play(
     return Played(tuple(estimates), alone, duration_s, cpu_s, on, len(places.loops))
 
 
+def check_overlap(args: argparse.Namespace, truth: Trajectory, time_ns: IntArray) -> None:
+    """Refuse a truth of another time before anything is played.
+
+    Raises:
+        FileError: When fewer than three frames lie within its time.
+    """
+    begin, end = truth.time_ns[0], truth.time_ns[-1]
+    count = int(np.count_nonzero((begin <= time_ns) & (time_ns <= end)))
+    if count < LEAST_PAIRS:
+        raise FileError(
+            f"{args.truth}: overlaps {args.dataset} in {count} frames, {LEAST_PAIRS} at least are "
+            f"needed: it goes from {seconds(begin)} to {seconds(end)} s, the recording from "
+            f"{seconds(time_ns[0])} to {seconds(time_ns[-1])} s; give both by one clock"
+        )
+
+
 def score(trajectory: Trajectory, truth: Trajectory, args: argparse.Namespace) -> TrajectoryError:
     """Errors against a truth.
 
     Raises:
-        FileError: When fewer than three poses have a truth.
+        FileError: When fewer than three poses have a truth, or its quaternions are in another
+            order.
     """
     matched = match(trajectory, truth)
-    if len(matched.row) < 3:
+    if len(matched.row) < LEAST_PAIRS:
         raise FileError(
-            f"{args.truth}: overlaps {args.dataset} in {len(matched.row)} poses, three at least "
-            f"are needed; check that both have the same clock"
+            f"{args.truth}: overlaps the trajectory of {args.dataset} in {len(matched.row)} poses, "
+            f"{LEAST_PAIRS} at least are needed, each between poses of the truth at most "
+            f"{MAX_GAP_S} s apart"
         )
-    return trajectory_error(matched, args.align)
+    error = trajectory_error(matched, args.align)
+    order = other_order(matched, error)
+    if order is not None:
+        raise FileError(
+            f"{args.truth}: its quaternions fit the recording only if they are in the order "
+            f"{order}; EuRoC CSV has q w x y z, TUM text has qx qy qz qw: reorder the columns"
+        )
+    return error
+
+
+def other_order(matched: Matched, error: TrajectoryError) -> str | None:
+    """The order in which a truth's quaternions fit an estimate, if not the one they were read in.
+
+    Motions of a second that are wrong by many degrees, and right once w stands at the other end.
+    """
+    if not error.rpe_deg > SWAPPED_DEG:
+        return None
+    truth = matched.truth
+    for order, columns in (("w x y z", [1, 2, 3, 0]), ("x y z w", [3, 0, 1, 2])):
+        other = Trajectory(truth.time_ns.copy(), truth.p.copy(), truth.q[:, columns].copy())
+        turned = trajectory_error(Matched(matched.estimate, other, matched.row), "none")
+        if turned.rpe_deg < 0.2 * error.rpe_deg:
+            return order
+    return None
 
 
 def summarize(played: Played, error: TrajectoryError | None) -> dict[str, object]:
@@ -161,6 +210,7 @@ def summarize(played: Played, error: TrajectoryError | None) -> dict[str, object
         "rpe_m",
         "rpe_deg",
         "rpe_delta_s",
+        "rpe_pairs",
         "matched",
         "alignment",
         "scale",
@@ -187,11 +237,18 @@ def print_summary(summary: dict[str, object]) -> None:
     if s["ate_m"] is None:
         print(f"{'error':<18}not known: give --truth FILE")
         return
+    scale = f", scale {s['scale']}" if s["alignment"] == "sim3" else ""
     print(
         f"{'ATE':<18}{s['ate_m']} m RMS, {s['ate_max_m']} m at most  "
-        f"({s['alignment']} alignment, {s['matched']} pairs, path {s['path_m']} m)"
+        f"({s['alignment']} alignment{scale}, {s['matched']} pairs, path {s['path_m']} m)"
     )
-    print(f"{'RPE':<18}{s['rpe_m']} m, {s['rpe_deg']} deg RMS over {s['rpe_delta_s']} s")
+    if not s["rpe_pairs"]:
+        print(f"{'RPE':<18}not known: no motion over {s['rpe_delta_s']} s has a truth")
+        return
+    print(
+        f"{'RPE':<18}{s['rpe_m']} m, {s['rpe_deg']} deg RMS over {s['rpe_delta_s']} s  "
+        f"({s['rpe_pairs']} motions)"
+    )
 
 
 def _plain(value: object) -> object:

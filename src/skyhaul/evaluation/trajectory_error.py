@@ -62,13 +62,18 @@ class TrajectoryError:
     rpe_m: float  # RMS of the error of the motion over `rpe_delta_s`
     rpe_deg: float
     rpe_delta_s: float
+    rpe_pairs: int  # motions that took so long
     matched: int  # pairs
     alignment: Alignment
     scale: float  # of the alignment; 1 unless sim3
     path_m: float  # length of the matched truth
 
 
-def match(estimate: Trajectory, truth: Trajectory, max_gap_s: float = 0.1) -> Matched:
+MAX_GAP_S = 0.1
+"""A pose of the estimate has a truth where the truth's neighbours are at most this apart [s]."""
+
+
+def match(estimate: Trajectory, truth: Trajectory, max_gap_s: float = MAX_GAP_S) -> Matched:
     """The truth at the times of the estimate, between neighbours at most `max_gap_s` apart.
 
     Positions are linear between neighbours, attitudes turn at a constant rate.
@@ -81,7 +86,8 @@ def match(estimate: Trajectory, truth: Trajectory, max_gap_s: float = 0.1) -> Ma
     near = truth.time_ns[b] - truth.time_ns[b - 1] <= gap_ns
     row = np.flatnonzero(exact | (inside & near))
     b, t = b[row], estimate.time_ns[row]
-    share = (t - truth.time_ns[b - 1]) / (truth.time_ns[b] - truth.time_ns[b - 1])
+    span_ns = truth.time_ns[b] - truth.time_ns[b - 1]
+    share = (t - truth.time_ns[b - 1]) / np.where(span_ns == 0, 1, span_ns)  # 0: one pose alone
     q_a, q_b = truth.q[b - 1], truth.q[b]
     turn = quat_log(quat_mul(quat_conj(q_a), q_b))
     q = quat_mul(q_a, quat_exp(share[:, None] * turn))
@@ -116,7 +122,8 @@ def trajectory_error(
 ) -> TrajectoryError:
     """ATE after alignment over all pairs, and RPE, which needs none.
 
-    RPE compares the motion over `rpe_delta_s`, from each pose to the first one that much later.
+    RPE compares the motion over `rpe_delta_s`, from each pose to the first one that much later;
+    where the next one is more than a tenth later still, there is a gap and no motion.
     """
     estimate, truth = matched.estimate, matched.truth
     s, R, t = 1.0, np.eye(3), np.zeros(3)
@@ -130,6 +137,7 @@ def trajectory_error(
         rpe_m=_rms(shift),
         rpe_deg=math.degrees(_rms(turn)),
         rpe_delta_s=rpe_delta_s,
+        rpe_pairs=len(shift),
         matched=len(error),
         alignment=alignment,
         scale=s,
@@ -142,7 +150,8 @@ def relative_errors(matched: Matched, scale: float, delta_s: float) -> tuple[Arr
     times = matched.truth.time_ns
     # Half a microsecond of slack: recorders round their stamps.
     later = np.searchsorted(times, times + round(delta_s * NS_PER_S) - 500, side="left")
-    i = np.flatnonzero(later < len(times))
+    near = times[np.minimum(later, len(times) - 1)] - times <= round(1.1 * delta_s * NS_PER_S)
+    i = np.flatnonzero((later < len(times)) & near)
     j = later[i]
     true_R, true_p = _motions(matched.truth, i, j, 1.0)
     our_R, our_p = _motions(matched.estimate, i, j, scale)
