@@ -2,6 +2,7 @@
 """`skyhaul vio` on a feature-track file."""
 
 import csv
+import io
 import json
 import os
 import sys
@@ -16,9 +17,11 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from simulated_tracks import FOCAL_PX, Flight, simulate
 
 from skyhaul.cli.main import main
+from skyhaul.cli.recording_bar import RecordingBar
 from skyhaul.errors import FileError
 from skyhaul.evaluation.trajectory_file import read_trajectory, write_tum
 from skyhaul.geometry.quaternion import R_to_quat
+from skyhaul.perception.vio.ekf import EkfEstimator
 from skyhaul.perception.vio.track_file import read_track_file
 
 DATA = Path(os.environ.get("SKYHAUL_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -169,11 +172,226 @@ def test_a_wrong_file_is_one_sentence_and_exit_1(tmp_path, capsys, content, mess
     assert text.count("\n") == 1
 
 
-def test_a_truth_of_another_time_is_refused(folder, capsys, tmp_path, flown):
+def cell(kind, column, value, row=5):
+    """Change one cell of the given row of a kind."""
+
+    def change(rows):
+        [r for r in rows if r["row_type"] == kind][row][column] = value
+        return rows
+
+    return change
+
+
+def meta(key, value):
+    """Change the value of a meta row."""
+
+    def change(rows):
+        for r in rows:
+            r["value"] = value if r["key"] == key else r["value"]
+        return rows
+
+    return change
+
+
+def scaled(factor, *columns):
+    """Give some columns of the IMU in another unit."""
+
+    def change(rows):
+        for r in rows:
+            for c in columns if r["row_type"] == "imu" else ():
+                r[c] = repr(factor * float(r[c]))
+        return rows
+
+    return change
+
+
+def swapped_axes(rows):
+    """Forces where rates belong and the other way round."""
+    g, a = ("gx", "gy", "gz"), ("ax", "ay", "az")
+    return [r | {k: r[v] for k, v in zip((*g, *a), (*a, *g), strict=True)} for r in rows]
+
+
+def without_imu(first, last):
+    """Leave some rows of the IMU out."""
+
+    def change(rows):
+        imu = [r for r in rows if r["row_type"] == "imu"]
+        return [r for r in rows if r["row_type"] != "imu"] + imu[:first] + imu[last:]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (cell("imu", "gx", "nan"), "(imu): gx is 'nan', not finite"),
+        (cell("imu", "gx", ""), "(imu): gx is '', no number"),
+        (cell("imu", "az", "1e160", 600), "(imu): az is 1e+160, at most 4000 is possible"),
+        (cell("imu", "t_abs", "100.0", 9), "comes -40000000 ns after that of line"),
+        (cell("imu", "t_abs", "1403715273262142976"), "give seconds, not nanoseconds"),
+        (cell("imu", "t_abs", "soon"), "t_abs 'soon' is no time in seconds"),
+        (cell("vision_feature", "t_abs", "100.0", 99), "comes after one at"),
+        (cell("vision_feature", "u_norm", "320.5"), "u_norm is 320.5, at most 20 is possible"),
+        (cell("vision_feature", "v_norm", "inf"), "v_norm is 'inf', not finite"),
+        (cell("vision_feature", "landmark_id", "1.5"), "landmark_id '1.5' is no whole number"),
+        (cell("vision_feature", "landmark_id", "-1"), "landmark_id '-1' is no whole number"),
+        (lambda rows: [*rows, rows[-1]], "stands twice at t_abs"),
+        (meta("T_ci_qw", "0.1"), "must be a unit quaternion"),
+        (meta("T_ci_tx", "1e160"), "(meta): T_ci_tx is 1e+160, at most 100 is possible"),
+        (meta("T_ci_qx", "x"), "(meta): T_ci_qx is 'x', no number"),
+        (meta("camera_fx", "0.8"), "camera_fx 10 px at least"),
+        (meta("camera_fx", "-400"), "camera_fx 10 px at least"),
+        (
+            lambda rows: [*rows, rows[0] | {"key": "measurement_space", "value": "pixel"}],
+            "measurement_space 'pixel' is unknown",
+        ),
+        (lambda rows: rows[1:], "T_ci_tx is missing"),
+        (swapped_axes, "columns of gyroscope and accelerometer are swapped"),
+        (scaled(1.0 / 9.81, "ax", "ay", "az"), "give specific force in m/s^2"),
+        (scaled(57.3, "gx", "gy", "gz"), "give angular rates in rad/s"),
+        (without_imu(400, 10**9), "leave out frames without IMU"),
+    ],
+)
+def test_a_wrong_row_is_one_sentence_before_anything_is_played(
+    folder, tmp_path, capfd, change, message
+):
+    with (folder / "tracks.csv").open(newline="") as file:
+        rows = change(list(csv.DictReader(file)))
+    wrong, out = tmp_path / "wrong.csv", tmp_path / "out.txt"
+    with wrong.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+    assert main(["vio", str(wrong), "--json", "--kind", "ekf", "--out", str(out)]) == 1
+    printed = capfd.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"skyhaul: {wrong}: ")
+    assert message in printed.err
+    assert printed.err.count("\n") == 1
+    assert [f.name for f in tmp_path.iterdir()] == ["wrong.csv"]
+
+
+def test_an_imu_at_10_hz_is_refused(folder, tmp_path, capsys):
+    lines = (folder / "tracks.csv").read_text().splitlines()
+    imu = [line for line in lines if line.startswith("imu,")]
+    rest = [line for line in lines if not line.startswith("imu,")]
+    (tmp_path / "slow.csv").write_text("\n".join([*rest, *imu[::20]]))
+    assert main(["vio", str(tmp_path / "slow.csv")]) == 1
+    assert "IMU: 10 samples a second, 50 to 2000 are allowed" in capsys.readouterr().err
+
+
+def test_a_file_that_is_cut_off_says_where(folder, tmp_path, capsys):
+    (tmp_path / "cut.csv").write_bytes((folder / "tracks.csv").read_bytes()[:-20])
+    assert main(["vio", str(tmp_path / "cut.csv")]) == 1
+    assert "the file may be cut off" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("/dev/null", "is no file"), ("x" * 300, "cannot be read: File name too long")],
+)
+def test_what_is_neither_file_nor_folder_is_refused(capsys, name, message):
+    assert main(["vio", name]) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_a_truth_of_another_time_is_refused_before_anything_is_played(
+    folder, capsys, tmp_path, flown, monkeypatch
+):
+    monkeypatch.setattr("skyhaul.cli.vio.play", None)
     write_tum(tmp_path / "late.txt", flown.truth)
     code = main(["vio", str(folder / "tracks.csv"), "--truth", str(tmp_path / "late.txt")])
     assert code == 1
-    assert "overlaps" in capsys.readouterr().err
+    text = capsys.readouterr().err
+    assert "in 0 frames, 3 at least are needed: it goes from 0.000 to" in text
+    assert "the recording from 100.000 to" in text
+
+
+def test_a_truth_with_quaternions_in_another_order_is_told(folder, capsys, tmp_path):
+    head, *rows = (folder / "truth.txt").read_text().splitlines()
+    cells = [row.split() for row in rows]
+    turned = [" ".join([*c[:4], c[7], *c[4:7]]) for c in cells]
+    (tmp_path / "wxyz.txt").write_text("\n".join([head, *turned]))
+    quick = ["vio", str(folder / "tracks.csv"), "--kind", "ekf", "--truth"]
+    assert main([*quick, str(tmp_path / "wxyz.txt")]) == 1
+    assert "only if they are in the order w x y z" in capsys.readouterr().err
+
+
+def test_too_short_a_truth_gives_no_rpe_and_the_table_says_so(folder, capsys, tmp_path):
+    lines = (folder / "truth.txt").read_text().splitlines()
+    (tmp_path / "short.txt").write_text("\n".join(lines[60:64]))
+    truth = ["--truth", str(tmp_path / "short.txt"), "--kind", "ekf"]
+    assert main(["vio", str(folder / "tracks.csv"), *truth, "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert (figures["matched"], figures["rpe_pairs"], figures["rpe_m"]) == (4, 0, None)
+    assert main(["vio", str(folder / "tracks.csv"), *truth]) == 0
+    assert "not known: no motion over 1.0 s has a truth" in capsys.readouterr().out
+
+
+def test_scale_is_aligned_only_on_demand(folder, capsys, tmp_path, flown):
+    t = flown.truth
+    write_tum(tmp_path / "twice.txt", type(t)(t.time_ns + 100 * 10**9, 2.0 * t.p, t.q))
+    found = []
+    for align in ((), ("--align", "sim3")):
+        truth = ["--truth", str(tmp_path / "twice.txt"), "--kind", "ekf", "--json", *align]
+        assert main(["vio", str(folder / "tracks.csv"), *truth]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    plain, scaled_too = found
+    assert (plain["alignment"], plain["scale"]) == ("se3", 1.0)
+    assert plain["ate_m"] > 0.1
+    assert scaled_too["scale"] == pytest.approx(2.0, rel=0.05)
+    assert scaled_too["ate_m"] < 0.05
+
+
+def test_a_file_that_is_there_stays_as_it_is(folder, capsys, tmp_path):
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    assert main(["vio", str(folder / "tracks.csv"), "--out", str(mine)]) == 1
+    assert "is there already" in capsys.readouterr().err
+    assert mine.read_text() == "mine"
+
+
+def test_ctrl_c_leaves_nothing_and_says_so(folder, capsys, tmp_path, monkeypatch):
+    step, count = EkfEstimator.step, []
+
+    def interrupted(*args):
+        count.append(1)
+        if len(count) == 40:
+            raise KeyboardInterrupt
+        return step(*args)
+
+    monkeypatch.setattr(EkfEstimator, "step", interrupted)
+    out = ["--out", str(tmp_path / "out.txt"), "--kind", "ekf", "--json"]
+    assert main(["vio", str(folder / "tracks.csv"), *out]) == 130
+    assert capsys.readouterr() == ("", "skyhaul: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("sigma", ["abc", "nan", "0", "-1", "1e160"])
+def test_an_impossible_sigma_is_wrong_usage(folder, capsys, sigma):
+    with pytest.raises(SystemExit) as left:
+        main(["vio", str(folder / "tracks.csv"), f"--sigma-px={sigma}"])
+    assert left.value.code == 2
+    assert "a number from 0.01 to 100 [px]" in capsys.readouterr().err
+
+
+class Terminal(io.StringIO):
+    """Takes what a terminal would show."""
+
+    def isatty(self):
+        return True
+
+
+def test_the_bar_shows_time_speed_and_status_on_a_terminal_and_nothing_elsewhere(monkeypatch):
+    monkeypatch.setattr("skyhaul.cli.recording_bar.EVERY_S", 0.0)
+    monkeypatch.setenv("TERM", "xterm")
+    for file, shown in ((Terminal(), True), (io.StringIO(), False)):
+        with RecordingBar("ekf: [bold]tracks.csv", 4.5, file) as bar:
+            bar.begin()
+            bar.update(1.25, "tracking")
+        assert ("1.2 of 4.5 s" in file.getvalue()) is shown
+        assert ("ekf: [bold]tracks.csv" in file.getvalue()) is shown
+        assert ("tracking" in file.getvalue()) is shown
 
 
 def test_an_imu_in_g_is_refused(folder, capsys, tmp_path, flown):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings of `skyhaul vio`: files that were read and checked, as the estimators take them."""
 
+import stat
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from skyhaul.evaluation.dataset.tracks_file import RecordedTracks, read_tracks
 from skyhaul.perception.vio.api import CameraRig, TrackFrame
 from skyhaul.perception.vio.front_end import FeatureTracker, FrontEnd
 from skyhaul.perception.vio.imu import ImuNoise, segments
-from skyhaul.perception.vio.imu_check import check_imu
+from skyhaul.perception.vio.imu_check import check_imu, coherence
 from skyhaul.perception.vio.preintegration import preintegrate
 from skyhaul.perception.vio.recording import Images, Recording, Views, part
 from skyhaul.sensors.api import CameraFrame, ImuReading
@@ -28,6 +29,11 @@ from skyhaul.types import US_PER_S, Array, IntArray
 
 BASELINE_M = 1e-3
 """Cameras that share their view and stand closer than this show no depth to each other."""
+SPIN_RAD_S, SPIN_COHERENCE, SPIN_SHARE = 6.0, 0.9, 0.25
+"""A body that turns this fast for more than this share of its seconds spins: then about the
+force, with this coherence at least (see `imu_check`)."""
+MOST_SPINS = 60
+"""So many seconds tell."""
 CHECK_US = US_PER_S
 """Length of the IMU data that is checked."""
 
@@ -50,11 +56,17 @@ def open_source(path: Path, sigma_px: float) -> Source:
     Raises:
         FileError: When there is nothing, or nothing that we can read.
     """
-    if path.is_dir():
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise FileError(
+            f"{path}: does not exist; give a feature-track CSV or an EuRoC folder"
+        ) from None
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror}") from error
+    if stat.S_ISDIR(mode):
         return _of_folder(path, read_folder(path), sigma_px)
-    if not path.exists():
-        raise FileError(f"{path}: does not exist; give a feature-track CSV or an EuRoC folder")
-    if not path.is_file():
+    if not stat.S_ISREG(mode):
         raise FileError(f"{path}: is no file; give a feature-track CSV or an EuRoC folder")
     return _of_tracks(path, read_tracks(path), sigma_px)
 
@@ -104,10 +116,10 @@ def _of_folder(path: Path, read: RecordedFolder, sigma_px: float) -> Source:
 
 
 def _imu(file: Path, time_ns: IntArray, gyro: Array, accel: Array) -> ImuReading:
-    """Samples from time 0 on, their first second checked.
+    """Samples from time 0 on, their first second and their rates checked.
 
     Raises:
-        FileError: When that is nonsense.
+        FileError: When they are nonsense.
     """
     imu = ImuReading(time_ns // NS_PER_US, gyro.copy(), accel.copy())
     begin = part(imu, 0, int(np.searchsorted(imu.stamp_us, CHECK_US, side="right")))
@@ -115,7 +127,34 @@ def _imu(file: Path, time_ns: IntArray, gyro: Array, accel: Array) -> ImuReading
         check_imu(begin)
     except SensorDataError as error:
         raise FileError(f"{file}: {error}") from None
+    spins = _spins(imu)
+    if spins > SPIN_SHARE:
+        raise FileError(
+            f"{file}: in {100.0 * spins:.0f} % of the seconds the gyroscope turns by more than "
+            f"{SPIN_RAD_S:g} rad/s and contradicts the force; give angular rates in rad/s, in the "
+            f"accelerometer's axes"
+        )
     return imu
+
+
+def _spins(imu: ImuReading) -> float:
+    """Share of the seconds that spin, the force smeared out when turned back by the gyroscope.
+
+    A body that stands at first hides rates in degrees from the check of its first second.
+    """
+    seconds = [
+        part(imu, *(int(i) for i in np.searchsorted(imu.stamp_us, [t, t + CHECK_US])))
+        for t in range(0, int(imu.stamp_us[-1]) - CHECK_US, CHECK_US)
+    ]
+    rates = [np.linalg.norm(s.gyro_I, axis=1) for s in seconds]
+    fast = [
+        s
+        for s, rate in zip(seconds, rates, strict=True)
+        if len(rate) > 1 and np.median(rate) > SPIN_RAD_S
+    ]
+    if not fast or np.median([coherence(s) for s in fast[:MOST_SPINS]]) > SPIN_COHERENCE:
+        return 0.0
+    return len(fast) / len(seconds)
 
 
 Group = tuple[int, list[tuple[int, RecordedCamera, Path]]]
