@@ -10,6 +10,9 @@ import pytest
 import yaml
 
 from skyhaul.errors import FileError
+from skyhaul.evaluation.dataset.calibration import T_IC
+from skyhaul.evaluation.dataset.euroc import EurocWriter
+from skyhaul.evaluation.dataset.png import read_png
 from skyhaul.evaluation.dataset.recorded import read_folder
 from skyhaul.geometry.camera import Equidistant, RadTan
 from skyhaul.geometry.so3 import so3_exp
@@ -97,6 +100,21 @@ def test_a_folder_gives_back_what_was_written(mav):
         size_px=(64, 48), focal_px=(50.0, 51.0), center_px=(32.0, 24.0),
         distortion=(-0.1, 0.01, 0.0, 0.0),
     )  # fmt: skip
+
+
+def test_what_skyhaul_records_is_read_back(made, tmp_path):
+    with EurocWriter(tmp_path / "own", made.known, "vehicle 0") as writer:
+        for reading, beside in made.readings:
+            writer.add(reading, beside)
+    read = read_folder(tmp_path / "own")
+    np.testing.assert_array_equal(read.gyro_I, made.imu("gyro_I"))
+    np.testing.assert_array_equal(read.imu_ns, 1000 * made.imu("stamp_us"))
+    for i, camera in enumerate(read.cameras):
+        known = made.known.rig.cameras[i]
+        np.testing.assert_allclose(camera.known.T_IC, T_IC(made.known.imu, known), atol=1e-12)
+        assert camera.known.model == known.model
+        for file, frame in zip(camera.files, made.frames(i), strict=True):
+            np.testing.assert_array_equal(read_png(file, known.model.size_px), frame.image)
 
 
 @pytest.mark.parametrize(
