@@ -231,14 +231,16 @@ def test_a_trajectory_is_written_whole_or_not_at_all(tmp_path):
         ("folder", "is a folder"),
         ("none/x.txt", "cannot be written: No such file"),
         ("there.txt/x.txt", "cannot be written: Not a directory"),
+        ("half.txt", "half.txt.part: cannot be written: File exists"),
         ("x" * 300, "cannot be written: File name too long"),
     ],
 )
 def test_a_place_that_takes_no_file_is_refused_before_there_is_one(tmp_path, name, message):
     (tmp_path / "there.txt").write_text("mine")
+    (tmp_path / "half.txt.part").write_text("mine too")
     (tmp_path / "folder").mkdir()
     with pytest.raises(FileError, match=message):
         check_out(tmp_path / name)
     assert (tmp_path / "there.txt").read_text() == "mine"
     check_out(tmp_path / "new.txt")
-    assert sorted(f.name for f in tmp_path.iterdir()) == ["folder", "there.txt"]
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["folder", "half.txt.part", "there.txt"]

@@ -92,11 +92,11 @@ def check_out(path: Path) -> None:
             what = "a folder" if path.is_dir() else "there already"
             raise FileError(f"{path}: is {what}; give the name of a new file")
         part = path.with_name(path.name + ".part")
-        part.touch()
+        part.touch(exist_ok=False)
         part.unlink()
     except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise FileError(f"{path}: cannot be written: {why}") from None
+        name, why = getattr(error, "filename", None), getattr(error, "strerror", None)
+        raise FileError(f"{name or path}: cannot be written: {why or error}") from None
 
 
 def _lines(path: Path) -> Sequence[tuple[int, str]]:
