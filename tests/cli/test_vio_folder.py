@@ -16,8 +16,22 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from simulated_tracks import Flight, simulate
 
 from skyhaul.cli.main import main
+from skyhaul.evaluation.dataset.euroc import EurocWriter
+from skyhaul.evaluation.dataset.png import read_png
+from skyhaul.evaluation.dataset.recorded import read_folder
 from skyhaul.evaluation.trajectory_file import read_trajectory
 from skyhaul.geometry.so3 import so3_exp
+from skyhaul.perception.vio.imu import NO_SAMPLES
+from skyhaul.sensors.api import (
+    CameraCalibration,
+    CameraFrame,
+    ImuReading,
+    RigCalibration,
+    VehicleCalibration,
+    VehicleReading,
+)
+from skyhaul.sensors.imu import Imu
+from skyhaul.sensors.truth_api import SensorTruth
 
 EPOCH = 1_500_000_000_000_000_000
 
@@ -136,6 +150,46 @@ def test_cameras_in_one_place_may_look_away_from_each_other(mav, capfd):
     (mav / "cam1" / "sensor.yaml").write_text(yaml.safe_dump(sensor(T)))
     assert main(["vio", str(mav), "--kind", "ekf", "--json"]) == 0
     assert capfd.readouterr().err == ""
+
+
+def recorded(mav, folder, ahead_us):
+    """The same as `skyhaul record` writes it, by an IMU whose clock is ahead."""
+    read = read_folder(mav)
+    mounts = (
+        CameraCalibration(
+            f"camera {i}", c.known.model, c.known.T_IC[:3, 3], c.known.T_IC[:3, :3], 20.0
+        )
+        for i, c in enumerate(read.cameras)
+    )
+    imu = Imu(clock_offset_us=ahead_us).calibration()
+    with EurocWriter(
+        folder, VehicleCalibration(imu, RigCalibration(tuple(mounts), None), None), "x"
+    ) as writer:
+        stamp_us = (read.imu_ns - EPOCH) // 1000 + ahead_us
+        writer.add_imu(ImuReading(stamp_us, read.gyro_I, read.accel_I))
+        for k, ns in enumerate(read.cameras[0].time_ns.tolist()):
+            t_us = (ns - EPOCH) // 1000
+            frames = tuple(
+                CameraFrame(t_us, i, read_png(c.files[k], c.known.model.size_px))
+                for i, c in enumerate(read.cameras)
+            )
+            writer.add(
+                VehicleReading(t_us, 0, NO_SAMPLES, frames, None, None),
+                SensorTruth(None, np.zeros(6)),
+            )
+    return folder
+
+
+@pytest.mark.parametrize("ahead_us", [20_000, -20_000])
+@pytest.mark.parametrize("part", [".", "mav0"])
+def test_a_recording_by_a_clock_that_is_off_gives_the_same_way(mav, tmp_path, ahead_us, part):
+    ways = []
+    for name, offset_us in (("right", 0), ("off", ahead_us)):
+        folder, out = recorded(mav, tmp_path / name, offset_us), tmp_path / f"{name}.txt"
+        assert main(["vio", str(folder / part), "--kind", "ekf", "--out", str(out)]) == 0
+        ways.append(read_trajectory(out))
+    np.testing.assert_array_equal(ways[0].time_ns, ways[1].time_ns)
+    np.testing.assert_array_equal(ways[0].p, ways[1].p)
 
 
 def test_a_time_shift_gives_the_same_way_by_the_cameras_clock(mav, tmp_path, capfd):

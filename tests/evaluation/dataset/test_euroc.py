@@ -105,6 +105,7 @@ def test_a_sensors_description_gives_its_numbers_back(written, made) -> None:
         assert about["distortion_coefficients"] == list(camera.model.distortion)
         assert about["resolution"] == list(camera.model.size_px)
         assert about["rate_hz"] == camera.rate_hz
+        assert about["timeshift_cam_imu"] == 250e-6
     imu = load(folder / "mav0" / "imu0" / "sensor.yaml")
     assert (imu["gyroscope_noise_density"], imu["accelerometer_random_walk"]) == (
         known.imu.gyro_noise,

@@ -19,6 +19,7 @@ from skyhaul.errors import FileError
 from skyhaul.evaluation.dataset import euroc, layout
 from skyhaul.evaluation.dataset.euroc import read_table
 from skyhaul.evaluation.dataset.record import Recording, Show, record
+from skyhaul.evaluation.dataset.recorded import read_folder
 from skyhaul.evaluation.mcap_log import McapLog
 from skyhaul.geometry.kernels import quat_exp, quat_mul
 from skyhaul.geometry.quaternion import quat_rotate
@@ -140,6 +141,18 @@ def test_exact_imu_tables_lead_along_the_ground_truth(flights, tmp_path) -> None
     np.testing.assert_allclose(v, truth[-1, 7:10], rtol=0.0, atol=1e-10)
     assert abs(q @ truth[-1, 3:7]) == pytest.approx(1.0, abs=1e-12)
     assert np.all(truth[:, 10:] == 0.0)
+
+
+@pytest.mark.parametrize("ahead_us", [5_000, -5_000])
+def test_a_clock_that_is_off_is_read_back_as_one_that_is_not(flights, tmp_path, ahead_us) -> None:
+    for name, offset_us in (("off", ahead_us), ("right", 0)):
+        sensors = SensorsConfig(imu=Imu(clock_offset_us=offset_us), rig=SMALL)
+        record(recording(tmp_path / name, vehicles=(0,), sensors=sensors), quiet())
+    off, right = (read_folder(tmp_path / name / "vehicle_0") for name in ("off", "right"))
+    np.testing.assert_array_equal(off.imu_ns, right.imu_ns)
+    np.testing.assert_array_equal(off.gyro_I, right.gyro_I)
+    np.testing.assert_array_equal(off.accel_I, right.accel_I)
+    np.testing.assert_array_equal(off.cameras[0].time_ns, right.cameras[0].time_ns)
 
 
 def test_the_same_seed_gives_the_same_bytes_in_any_order(flights, tmp_path) -> None:

@@ -108,7 +108,8 @@ def test_what_skyhaul_records_is_read_back(made, tmp_path):
             writer.add(reading, beside)
     read = read_folder(tmp_path / "own")
     np.testing.assert_array_equal(read.gyro_I, made.imu("gyro_I"))
-    np.testing.assert_array_equal(read.imu_ns, 1000 * made.imu("stamp_us"))
+    ahead_us = made.known.imu.clock_offset_us
+    np.testing.assert_array_equal(read.imu_ns, 1000 * (made.imu("stamp_us") - ahead_us))
     for i, camera in enumerate(read.cameras):
         known = made.known.rig.cameras[i]
         np.testing.assert_allclose(camera.known.T_IC, T_IC(made.known.imu, known), atol=1e-12)
@@ -129,7 +130,8 @@ def test_what_skyhaul_records_is_read_back(made, tmp_path):
         (20, lambda c: [*c[:3], "x", *c[4:]], "w z is 'x', no number"),
         (2, lambda c: ["1500000000.0", *c[1:]], "line 2 is no IMU sample: '1500000000.0' is no ti"),
         (2, lambda c: ["9" * 25, *c[1:]], "is beyond the year 2262"),
-        (2, lambda c: ["-5", *c[1:]], "'-5' is no time in whole nanoseconds"),
+        (2, lambda c: ["--5", *c[1:]], "'--5' is no time in whole nanoseconds"),
+        (2, lambda c: ["-1000000001", *c[1:]], "'-1000000001' ns is more than a second before"),
         (9, lambda c: [str(EPOCH), *c[1:]], "line 9: the time 1500000000000000000 ns comes -30"),
         (1, lambda c: ["timestamp", *c[1:]], "line 1 is no IMU sample: 'timestamp' is no time"),
     ],
@@ -340,6 +342,26 @@ def test_a_camera_with_a_shift_of_its_own_moves_by_the_difference(mav):
     read = read_folder(mav)
     assert read.imu_ns[0] == read.cameras[0].time_ns[0] == EPOCH
     assert read.cameras[1].time_ns[0] == EPOCH - 1_000_000
+
+
+def test_the_time_shift_of_a_chain_counts_beside_sensor_files(mav):
+    chain = kalibr([pose(0.0)], timeshift_cam_imu=0.01)  # of one camera, with other poses
+    (mav.parent / "camchain-imucam.yaml").write_text(yaml.safe_dump(chain))
+    edit_yaml(mav, 1, timeshift_cam_imu=0.01)
+    read = read_folder(mav.parent)
+    assert read.imu_ns[0] == EPOCH - 10_000_000
+    assert read.cameras[0].time_ns[0] == read.cameras[1].time_ns[0] == EPOCH
+    np.testing.assert_allclose(read.cameras[1].known.T_IC, pose(-0.1), atol=1e-12)
+
+
+def test_files_that_disagree_on_the_time_shift_are_both_named(mav):
+    chain = kalibr([pose(0.0), pose(-0.1)], timeshift_cam_imu=0.01)
+    (mav.parent / "camchain-imucam.yaml").write_text(yaml.safe_dump(chain))
+    edit_yaml(mav, 0, timeshift_cam_imu=0.01 + 1e-9)  # rounded, the same
+    edit_yaml(mav, 1, timeshift_cam_imu=0.0)
+    text = refusal(mav)
+    assert "cam1/sensor.yaml and " in text
+    assert "camchain-imucam.yaml disagree on timeshift_cam_imu of cam1: 0 s and 0.01 s" in text
 
 
 def test_a_chain_must_have_every_camera(mav):

@@ -57,6 +57,7 @@ def camera_yaml(imu: ImuCalibration, camera: CameraCalibration) -> str:
             "intrinsics": _intrinsics(camera.model),
             "distortion_model": model,
             "distortion_coefficients": list(camera.model.distortion),
+            "timeshift_cam_imu": imu.clock_offset_us / US_PER_S,
         }
     )
 

@@ -16,6 +16,7 @@ from skyhaul.geometry.camera import CameraModel, Equidistant, RadTan
 from skyhaul.types import Array
 
 MODELS = {"radial-tangential": RadTan, "radtan": RadTan, "equidistant": Equidistant}
+SHIFT = "timeshift_cam_imu"
 RIGID = 1e-3
 """Allowed error of a rotation's entries: files round."""
 ARM_M = 100.0
@@ -32,7 +33,7 @@ class CameraKnown:
 
     model: CameraModel
     T_IC: Array  # (4, 4)
-    shift_s: float  # time by the IMU's clock less time by the camera's
+    shift_s: float | None  # time by the IMU's clock less time by the camera's; None: not told
 
 
 def read_description(file: Path) -> Tree:
@@ -90,6 +91,16 @@ def read_chain(file: Path, names: list[str]) -> list[CameraKnown]:
     return known
 
 
+def read_chain_shift(file: Path, name: str) -> float | None:
+    """What a camera chain tells of a camera's clock as `CameraKnown` does, and nothing else of it.
+
+    Raises:
+        FileError: When it is no YAML file or the shift no number.
+    """
+    entry = read_description(file).get(name)
+    return _shift_s(entry, f"{file}: {name}") if isinstance(entry, dict) else None
+
+
 def check_body(file: Path) -> None:
     """Refuse an IMU that is not the body frame.
 
@@ -136,8 +147,13 @@ def _camera(tree: Tree, T_IC: Array, where: str) -> CameraKnown:
     model = MODELS[kind](
         size_px=(w, h), focal_px=(fx, fy), center_px=(cx, cy), distortion=(k[0], k[1], k[2], k[3])
     )
-    shift_s = tree.get("timeshift_cam_imu", 0.0)
-    return CameraKnown(model, T_IC, _number(shift_s, f"{where}: timeshift_cam_imu", SHIFT_S))
+    return CameraKnown(model, T_IC, _shift_s(tree, where))
+
+
+def _shift_s(tree: Tree, where: str) -> float | None:
+    if SHIFT not in tree:
+        return None
+    return _number(tree[SHIFT], f"{where}: {SHIFT}", SHIFT_S)
 
 
 def _known() -> str:

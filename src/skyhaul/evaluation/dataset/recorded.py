@@ -11,9 +11,11 @@ import numpy as np
 from skyhaul.errors import FileError
 from skyhaul.evaluation.dataset import layout
 from skyhaul.evaluation.dataset.camera_file import (
+    SHIFT,
     CameraKnown,
     check_body,
     read_chain,
+    read_chain_shift,
     read_sensor,
 )
 from skyhaul.evaluation.dataset.table_file import (
@@ -33,6 +35,8 @@ from skyhaul.types import Array, IntArray
 
 TOGETHER_NS = 2_000_000
 """Images of several cameras within this time are one frame of the rig [ns]."""
+SAME_SHIFT_S = 1e-6
+"""Time shifts of two files closer than this are one [s]."""
 _AXES = ("w x", "w y", "w z", "a x", "a y", "a z")
 
 
@@ -71,14 +75,16 @@ def read_folder(folder: Path) -> RecordedFolder:
     if (mav / "imu0" / layout.SENSOR).exists():
         check_body(mav / "imu0" / layout.SENSOR)
     imu_ns, values = _imu(imu_file)
-    known = _known(folder, mav, names)
-    shift_ns = [round((k.shift_s - known[0].shift_s) * NS_PER_S) for k in known]
-    imu_ns = imu_ns - round(known[0].shift_s * NS_PER_S)
+    chains = sorted({*folder.glob("*camchain*.yaml"), *mav.glob("*camchain*.yaml")})
+    known = _known(folder, mav, names, chains)
+    shift_ns = [_shift_ns(mav / name, k, chains) for name, k in zip(names, known, strict=True)]
+    imu_ns = imu_ns - shift_ns[0]
     cameras = []
     for name, camera, shift in zip(names, known, shift_ns, strict=True):
         time_ns, files = _images(mav / name, camera)
-        cameras.append(RecordedCamera(camera, time_ns + shift, files))
-        check_spans(imu_file, imu_ns, mav / name / layout.DATA, time_ns + shift)
+        time_ns = time_ns + shift - shift_ns[0]
+        cameras.append(RecordedCamera(camera, time_ns, files))
+        check_spans(imu_file, imu_ns, mav / name / layout.DATA, time_ns)
     _check_together(mav, names, cameras)
     return RecordedFolder(imu_file, imu_ns, values[:, :3], values[:, 3:], tuple(cameras))
 
@@ -102,10 +108,11 @@ def _camera_names(folder: Path, mav: Path) -> list[str]:
     return names
 
 
-def _known(folder: Path, mav: Path, names: Sequence[str]) -> list[CameraKnown]:
+def _known(
+    folder: Path, mav: Path, names: Sequence[str], chains: Sequence[Path]
+) -> list[CameraKnown]:
     """Of each camera: from its own file, or all from the one camera chain."""
     with_file = [name for name in names if (mav / name / layout.SENSOR).exists()]
-    chains = sorted({*folder.glob("*camchain*.yaml"), *mav.glob("*camchain*.yaml")})
     if not with_file and not chains:
         raise FileError(
             f"{mav / names[0]}: has no {layout.SENSOR}, and {folder} no *camchain*.yaml; one of "
@@ -119,6 +126,24 @@ def _known(folder: Path, mav: Path, names: Sequence[str]) -> list[CameraKnown]:
             f"one, or give each camera a {layout.SENSOR}"
         )
     return read_chain(chains[0], list(names))
+
+
+def _shift_ns(folder: Path, known: CameraKnown, chains: Sequence[Path]) -> int:
+    """Time by the IMU's clock less time by a camera's [ns], by its own file or the chains.
+
+    Raises:
+        FileError: When they disagree.
+    """
+    told = {folder / layout.SENSOR: known.shift_s}
+    told |= {chain: read_chain_shift(chain, folder.name) for chain in chains}
+    (file, shift_s), *others = [(f, s) for f, s in told.items() if s is not None] or [(folder, 0.0)]
+    for other, other_s in others:
+        if abs(other_s - shift_s) > SAME_SHIFT_S:
+            raise FileError(
+                f"{file} and {other} disagree on {SHIFT} of {folder.name}: {shift_s:g} s and "
+                f"{other_s:g} s; correct one, or take it out"
+            )
+    return round(shift_s * NS_PER_S)
 
 
 def _imu(file: Path) -> tuple[IntArray, Array]:

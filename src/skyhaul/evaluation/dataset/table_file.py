@@ -13,6 +13,8 @@ from skyhaul.types import IntArray
 
 NS_PER_S = 1_000_000_000
 NS_PER_US = 1_000
+BEFORE_NS = NS_PER_S
+"""No clock lags so much that it stamps earlier before time 0 [ns]."""
 GYRO_RAD_S, ACCEL_MPS2 = 100.0, 4000.0
 """No IMU reads more, on any axis."""
 OUTSIDE_S = 0.1
@@ -48,16 +50,18 @@ def short(text: str) -> str:
 
 
 def nanoseconds(text: str) -> int:
-    """A time in whole nanoseconds.
+    """A time in whole nanoseconds; a clock that lags may stamp before time 0.
 
     Raises:
         ValueError: When it is none, with what is wrong.
     """
-    if not (text.isascii() and text.isdigit()):
+    if not (text.isascii() and text.removeprefix("-").isdigit()):
         unit = ", not seconds" if "." in text else ""
         raise ValueError(f"{short(text)} is no time in whole nanoseconds{unit}")
     if len(text) > 19 or int(text) > np.iinfo(np.int64).max:
         raise ValueError(f"{short(text)} ns is beyond the year 2262")
+    if int(text) < -BEFORE_NS:
+        raise ValueError(f"{short(text)} ns is more than a second before time 0")
     return int(text)
 
 
@@ -132,4 +136,6 @@ def check_spans(imu_file: Path, imu_ns: IntArray, file: Path, frame_ns: IntArray
 
 def seconds(time_ns: int) -> str:
     """A time [ns] as seconds."""
-    return f"{int(time_ns) // NS_PER_S}.{int(time_ns) % NS_PER_S // 1_000_000:03d}"
+    whole, rest = divmod(abs(int(time_ns)), NS_PER_S)
+    sign = "-" if time_ns < 0 else ""
+    return f"{sign}{whole}.{rest // 1_000_000:03d}"
