@@ -24,9 +24,12 @@ def test_ctrl_c_leaves_a_readable_run_folder(tmp_path: Path) -> None:
     time.sleep(1.0)
     flight.send_signal(signal.SIGINT)
     out, err = flight.communicate(timeout=120)
-    assert flight.returncode == 3, err
+    assert flight.returncode == 130, err
     assert "interrupted" in out
+    said = err.splitlines()[-1]
+    assert said == f"skyhaul: interrupted; what was flown is kept in {folder}, with its report"
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["mission_success"] is False
+    assert not list(folder.glob("*.part"))
     assert main(["report", str(folder)]) == 0
     assert (folder / "report.html").stat().st_size > 10_000

@@ -170,3 +170,32 @@ def test_output_into_a_closed_pipe_ends_quietly() -> None:
     os.close(writer)
     assert result.stderr == ""
     assert result.returncode == 1
+
+
+@pytest.mark.parametrize(
+    ("argv", "name", "said"),
+    [
+        (["doctor"], "doctor", "nothing was written"),
+        (["events", "x.es"], "events", "nothing was written"),
+        (["vio", "x.csv"], "vio", "nothing was written"),
+        (
+            ["report", "runs/{a}"], "report",
+            "the flight in runs/{a} is as it was; the same command makes its report",
+        ),
+        (
+            ["record", "hover", "--dataset", "euroc", "--out", "set"], "record",
+            "what is whole is kept in set; the same command goes on from there",
+        ),
+        (
+            ["train-events", "--work", "w"], "train_events",
+            "what is whole is kept in w; the same command goes on from there",
+        ),
+    ],
+)  # fmt: skip
+def test_ctrl_c_is_one_sentence_and_exit_130(argv, name, said, monkeypatch, capsys):
+    def stop(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(f"skyhaul.cli.{name}.{name}", stop)
+    assert main(argv) == 130
+    assert capsys.readouterr() == ("", f"skyhaul: interrupted; {said}\n")

@@ -131,15 +131,15 @@ def test_a_crash_keeps_the_folder_as_evidence(
     assert "a fault of ours: RuntimeError: odd; what was flown is kept in mine; run with" in err
 
 
-@pytest.mark.parametrize("fault", [KeyboardInterrupt(), RuntimeError("odd")])
+@pytest.mark.parametrize(("fault", "code"), [(KeyboardInterrupt(), 130), (RuntimeError("odd"), 1)])
 def test_what_breaks_off_the_rehearsal_leaves_nothing(
-    fault: BaseException, written: Path, monkeypatch: pytest.MonkeyPatch
+    fault: BaseException, code: int, written: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def rehearse(*_: object) -> None:
         raise fault
 
     monkeypatch.setattr(command, "rehearse", rehearse)
-    assert main(["run", "hover", "--out", "mine"]) in (1, 3)
+    assert main(["run", "hover", "--out", "mine"]) == code
     assert list(written.iterdir()) == []
 
 
@@ -147,9 +147,35 @@ def test_an_interrupt_before_the_first_step_leaves_nothing(
     written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(command, "fly", told(outcome(False, "interrupted"), flown=False))
-    assert main(["run", "hover", "--out", "mine"]) == 3
+    assert main(["run", "hover", "--out", "mine"]) == 130
     assert list(written.iterdir()) == []
-    assert "skyhaul: interrupted" in capsys.readouterr().err
+    assert "skyhaul: interrupted; nothing was written\n" in capsys.readouterr().err
+
+
+def test_an_interrupted_flight_is_judged_and_kept(
+    written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    judged: list[Path] = []
+    monkeypatch.setattr(command, "write_report", lambda folder, video: judged.append(folder))
+    monkeypatch.setattr(command, "fly", told(outcome(False, "interrupted")))
+    assert main(["run", "hover", "--out", "mine"]) == 130
+    assert judged == [Path("mine")]
+    err = capsys.readouterr().err
+    assert "skyhaul: interrupted; what was flown is kept in mine, with its report\n" in err
+
+
+def test_an_interrupt_while_a_flight_is_judged_says_how_to_go_on(
+    written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "fly", told(outcome(True, "done")))
+    monkeypatch.setattr(command, "write_report", stop)
+    assert main(["run", "hover", "--out", "mine"]) == 130
+    assert (written / "mine" / "config.yaml").is_file()
+    said = "interrupted; the flight is kept in mine, `skyhaul report` makes its report\n"
+    assert said in capsys.readouterr().err
 
 
 def test_a_flight_that_the_disk_breaks_off_has_failed_and_is_kept(

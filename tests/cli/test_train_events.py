@@ -4,7 +4,9 @@ import importlib.util
 import pytest
 
 from skyhaul.cli.main import main
+from skyhaul.mission.api import Outcome
 from skyhaul.perception.events.weights import load_weights
+from skyhaul.training import flights
 
 
 def test_without_torch_one_sentence_says_what_to_do(monkeypatch, capsys):
@@ -26,6 +28,14 @@ def test_a_number_out_of_range_is_named(option, capsys, monkeypatch):
     said = capsys.readouterr().err
     assert option.removeprefix("--").replace("-", "_") in said
     assert "got 0" in said
+
+
+def test_half_a_flight_is_not_kept_for_the_next_time(tmp_path, monkeypatch):
+    flown = Outcome(success=False, reason="interrupted", end_us=0, cpu_s={}, wall_s=0.0)
+    monkeypatch.setattr(flights, "fly", lambda *_: flown)
+    with pytest.raises(KeyboardInterrupt):
+        flights.flight("hover", 0, tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

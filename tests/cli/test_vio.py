@@ -363,7 +363,7 @@ def test_ctrl_c_leaves_nothing_and_says_so(folder, capsys, tmp_path, monkeypatch
     monkeypatch.setattr(EkfEstimator, "step", interrupted)
     out = ["--out", str(tmp_path / "out.txt"), "--kind", "ekf", "--json"]
     assert main(["vio", str(folder / "tracks.csv"), *out]) == 130
-    assert capsys.readouterr() == ("", "skyhaul: interrupted\n")
+    assert capsys.readouterr() == ("", "skyhaul: interrupted; nothing was written\n")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -12,6 +12,7 @@ from skyhaul.errors import FileError
 from skyhaul.evaluation.figures import png
 from skyhaul.perception.events.lens import EventLens
 from skyhaul.perception.obstacles.watch import Watched
+from skyhaul.whole import whole
 
 Pixels = NDArray[np.uint8]
 
@@ -46,7 +47,8 @@ def write_frames(path: Path, lens: EventLens, steps: list[Watched]) -> Path:
     frames = [np.pad(frame(lens, steps[i]), edge, constant_values=BETWEEN) for i in which]
     frames += [np.zeros_like(frames[0])] * (-len(frames) % PNG_COLUMNS)
     rows = [np.hstack(frames[i : i + PNG_COLUMNS]) for i in range(0, len(frames), PNG_COLUMNS)]
-    path.write_bytes(png(np.ascontiguousarray(np.vstack(rows))))
+    with whole(path) as part:
+        part.write_bytes(png(np.ascontiguousarray(np.vstack(rows))))
     return path
 
 
@@ -78,7 +80,7 @@ def _write_video(path: Path, lens: EventLens, steps: list[Watched]) -> Path:
     """One frame per step: a step of 10 ms is shown for 40 ms."""
     import av
 
-    with av.open(str(path), "w") as container:
+    with whole(path) as part, av.open(str(part), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=Fraction(RATE_HZ))
         stream.height, stream.width = frame(lens, steps[0]).shape[:2]
         stream.pix_fmt = "yuv420p"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entry point of `skyhaul`: parse the command line, call one command, turn errors into one line.
 
-Exit codes: 0 done, 3 the mission failed or was interrupted, 1 bad input or a fault of ours,
-2 wrong usage; 130 `vio` was interrupted, it has no mission.
+Exit codes: 0 done, 3 the mission failed, 1 bad input or a fault of ours, 2 wrong usage,
+130 interrupted (Ctrl-C): one sentence says what is kept and how to go on.
 """
 
 import argparse
@@ -15,6 +15,13 @@ from skyhaul.errors import SkyhaulError
 
 EXIT_OK, EXIT_ERROR, EXIT_USAGE, EXIT_FAILED = 0, 1, 2, 3
 EXIT_INTERRUPTED = 130
+
+_KEPT = {
+    "record": "what is whole is kept in {out}; the same command goes on from there",
+    "train-events": "what is whole is kept in {work}; the same command goes on from there",
+    "report": "the flight in {run} is as it was; the same command makes its report",
+}
+"""What an interrupt leaves, by command; otherwise nothing, or what the interrupt's notes say."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -29,9 +36,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_ERROR
-    except KeyboardInterrupt:
-        print("skyhaul: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED if args.command == "vio" else EXIT_FAILED
+    except KeyboardInterrupt as stop:
+        kept = _KEPT.get(args.command, "nothing was written").format(**vars(args))
+        notes = getattr(stop, "__notes__", [kept])
+        print(f"skyhaul: {'; '.join(['interrupted', *notes])}", file=sys.stderr)
+        return EXIT_INTERRUPTED
     except Exception as error:
         if args.debug:
             raise

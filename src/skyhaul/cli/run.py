@@ -28,18 +28,22 @@ from skyhaul.world.load import load_config
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly; 0 when the mission is done, 3 when it failed, was interrupted or broken off.
+    """Fly; 0 when the mission is done, 3 when it failed or was broken off.
 
     Raises:
         SkyhaulError: On bad input; then nothing stays written. What has begun to fly stays.
+        KeyboardInterrupt: When it was interrupted; what was flown stays, its notes say where.
     """
     config = load_config(RunConfig, args.scenario, run_overrides(args))
     recorder = _recorder(args.out, config, args.seed)
     broken = _fly(config, args.seed, recorder)
-    if broken is not None:
+    if isinstance(broken, SkyhaulError):
         print(f"skyhaul: broken off: {broken}", file=sys.stderr)
     try:
         done = _judge(recorder.folder)
+    except KeyboardInterrupt as stop:
+        stop.add_note(f"the flight is kept in {recorder.folder}, `skyhaul report` makes its report")
+        raise
     except OSError as fault:
         why = f"{fault.filename or recorder.folder}: {fault.strerror or fault}"
         sentence = f"{why}; the flight is in {recorder.folder}, `skyhaul report` makes its report"
@@ -47,6 +51,9 @@ def run(args: argparse.Namespace) -> int:
             raise FileError(sentence) from fault
         print(f"skyhaul: {sentence}", file=sys.stderr)
         done = False
+    if isinstance(broken, KeyboardInterrupt):
+        broken.add_note(f"what was flown is kept in {recorder.folder}, with its report")
+        raise broken
     return 0 if done and broken is None else 3
 
 
@@ -71,11 +78,13 @@ def _recorder(out: Path | None, config: RunConfig, seed: int) -> RunRecorder:
     raise AssertionError("there is always a next folder")
 
 
-def _fly(config: RunConfig, seed: int, recorder: RunRecorder) -> SkyhaulError | None:
+def _fly(
+    config: RunConfig, seed: int, recorder: RunRecorder
+) -> SkyhaulError | KeyboardInterrupt | None:
     """Rehearse, so that figures of time and energy are those of the flight alone; then fly.
 
     Returns:
-        What broke off the flight after it had begun, such as a full disk.
+        What broke off the flight after it had begun, such as a full disk or Ctrl-C.
     """
     try:
         with FlightBar(config.name, sys.stderr) as bar:
@@ -95,9 +104,12 @@ def _fly(config: RunConfig, seed: int, recorder: RunRecorder) -> SkyhaulError | 
             return fault
         fault.add_note(f"what was flown is kept in {recorder.folder}")
         raise
-    if outcome.reason == INTERRUPTED and recorder.withdraw():
-        raise KeyboardInterrupt  # before its first step: nothing was flown
-    return None
+    if outcome.reason != INTERRUPTED:
+        return None
+    stop = KeyboardInterrupt()
+    if recorder.withdraw():
+        raise stop  # before its first step: nothing was flown
+    return stop
 
 
 def _judge(folder: Path) -> bool:

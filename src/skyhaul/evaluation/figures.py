@@ -12,6 +12,7 @@ from skyhaul.errors import FileError
 from skyhaul.evaluation.folder import FIGURE
 from skyhaul.evaluation.series import Run
 from skyhaul.evaluation.stage import Look, Stage
+from skyhaul.whole import whole
 
 WIDTH, HEIGHT = 1600, 1000
 """Size of the picture [px]."""
@@ -29,7 +30,8 @@ def write_figure(run: Run, exposures: int = 7) -> Path:
     look = Look(exposures=exposures, plan=False, line_px=2.0)
     image = stage.draw(len(run.t_s) - 1, stage.overview(), WIDTH, HEIGHT, look)
     path = run.folder / FIGURE
-    path.write_bytes(png(image.pixels()))
+    with whole(path) as part:
+        part.write_bytes(png(image.pixels()))
     return path
 
 

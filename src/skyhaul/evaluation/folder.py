@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from skyhaul.errors import ConfigError, FileError
+from skyhaul.whole import whole
 from skyhaul.world.load import dump_config
 from skyhaul.world.scenario import Scenario
 from skyhaul.world.schema import build
@@ -136,9 +137,8 @@ def write_json(path: Path, data: object) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text whole or not at all."""
-    part = path.with_suffix(".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    with whole(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def read_metrics(folder: Path) -> dict[str, Any]:

@@ -3,13 +3,13 @@
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from skyhaul.errors import FileError
 from skyhaul.evaluation.trajectory_error import NS_PER_S, Trajectory
+from skyhaul.whole import whole
 
 _KINDS = (
     "EuRoC CSV (time [ns], p x y z, q w x y z, ...) and TUM text (time [s] x y z qx qy qz qw) are"
@@ -71,13 +71,10 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     for t, p, q in zip(trajectory.time_ns.tolist(), trajectory.p, trajectory.q, strict=True):
         values = " ".join(f"{v:.9f}" for v in (*p, q[1], q[2], q[3], q[0]))
         rows.append(f"{t // NS_PER_S}.{t % NS_PER_S:09d} {values}")
-    part = path.with_name(path.name + ".part")
     try:
-        part.write_text("\n".join(rows) + "\n", "utf-8")
-        part.replace(path)
+        with whole(path) as part:
+            part.write_text("\n".join(rows) + "\n", "utf-8")
     except OSError as error:
-        with suppress(OSError):
-            part.unlink()
         raise FileError(f"{path}: cannot be written: {error.strerror}") from error
 
 

@@ -15,6 +15,7 @@ from skyhaul.evaluation.raster import Pixels
 from skyhaul.evaluation.series import Run, load_run
 from skyhaul.evaluation.stage import Look, Stage
 from skyhaul.types import Array
+from skyhaul.whole import whole
 
 if TYPE_CHECKING:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -62,7 +63,8 @@ def write_video(folder: Path | str, speed: float = 1.0, rate_hz: int = 25) -> Pa
     path = run.folder / VIDEO
     times = np.arange(0.0, run.t_s[-1] + 1e-9, speed / rate_hz)
     rows = np.minimum(np.searchsorted(run.t_s, times - 1e-9), len(run.t_s) - 1)
-    _encode(path, run, rows, rate_hz)
+    with whole(path) as part:
+        _encode(part, run, rows, rate_hz)
     return path
 
 
@@ -70,7 +72,7 @@ def _encode(path: Path, run: Run, rows: np.ndarray, rate_hz: int) -> None:
     import av
 
     panel, stage = _panel(run), Stage(run)
-    with av.open(str(path), "w") as container:
+    with av.open(str(path), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=Fraction(rate_hz))
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
         stream.options = {"crf": "21", "preset": "veryfast"}

@@ -15,6 +15,7 @@ from skyhaul.geometry.shapes import ShapeArrays
 from skyhaul.model.state import CableState, TeamState
 from skyhaul.plant.api import PLANT_STEP_US, Truth
 from skyhaul.types import Array, IntArray, Mask, TimeUs, frozen
+from skyhaul.whole import whole
 
 _CHUNK = 2_048
 
@@ -99,12 +100,10 @@ class TruthTrack:
         Raises:
             FileError: When it cannot be written.
         """
-        part = path.with_name(path.name + ".part")
         columns: dict[str, Any] = {name: getattr(self, name) for name in _ROWS + _ONCE}
         try:
-            with part.open("wb") as file:
+            with whole(path) as part, part.open("wb") as file:
                 np.savez(file, start_us=self.start_us, **columns)
-            part.replace(path)
         except OSError as fault:
             raise FileError(f"{path} cannot be written: {fault.strerror}") from fault
 

@@ -10,7 +10,7 @@ from skyhaul.comms.api import Envelope
 from skyhaul.mapping.api import WorldMap
 from skyhaul.mission.api import Outcome, Replan, Solve, Tick, Trigger
 from skyhaul.mission.config import RunConfig
-from skyhaul.mission.flight import fly
+from skyhaul.mission.flight import INTERRUPTED, fly
 from skyhaul.mission.replay import TrackRecorder
 from skyhaul.planning.api import Reference
 from skyhaul.sensors.truth_track import TruthTrack, load_track
@@ -65,6 +65,7 @@ def flight(name: str, seed: int, folder: Path) -> Flight:
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
         recorder = TrackRecorder(_Nothing())
-        fly(config, seed, recorder)
+        if fly(config, seed, recorder).reason == INTERRUPTED:
+            raise KeyboardInterrupt  # half a flight is not kept for the next time
         recorder.save(path)
     return Flight(config, load_track(path))

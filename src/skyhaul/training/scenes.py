@@ -29,6 +29,7 @@ from skyhaul.sensors.suite import motion_of
 from skyhaul.sensors.truth_track import TruthTrack
 from skyhaul.training.flights import Flight
 from skyhaul.types import US_PER_S, Array, IntArray, Vec3
+from skyhaul.whole import whole
 from skyhaul.world.motion import MovingObstacles, obstacle_field
 from skyhaul.world.obstacles import Circle, Line, Motion, Obstacle
 from skyhaul.world.scenario import Light, LightChange, World
@@ -277,8 +278,8 @@ def _vec(v: Array) -> Vec3:
 
 def save_stream(stream: LabelledStream, path: Path) -> None:
     """Write a stream; a reader finds all of it or nothing."""
-    e, model, part = stream.events, stream.model, path.with_suffix(".part")
-    with part.open("wb") as file:
+    e, model = stream.events, stream.model
+    with whole(path) as part, part.open("wb") as file:
         np.savez(
             file, t_us=e.t_us, x=e.x, y=e.y, p=e.p, turn_C=stream.turn_C,
             v_WC_C=stream.v_WC_C, label=stream.label.astype(np.int8),
@@ -286,7 +287,6 @@ def save_stream(stream: LabelledStream, path: Path) -> None:
             fisheye=isinstance(model, Equidistant), size_px=model.size_px,
             focal_px=model.focal_px, center_px=model.center_px, distortion=model.distortion,
         )  # fmt: skip
-    part.replace(path)
 
 
 def load_stream(path: Path) -> LabelledStream:

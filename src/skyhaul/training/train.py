@@ -25,6 +25,7 @@ from skyhaul.training.model import EventNet
 from skyhaul.training.samples import Sample, sample
 from skyhaul.training.scenes import MOVES, STANDS, TEAM
 from skyhaul.training.score import Score, classified, score
+from skyhaul.whole import whole
 
 Show = Callable[[str, int, int, str], None]
 """What is done, how much of it, of how much, and a word on how it goes."""
@@ -153,9 +154,10 @@ def _fit(
         done = update + 1
         if done % max(1, recipe.updates // 20) == 0:
             curve.append((float(done), running, _f1(*_logits(slow, checked), 0.0)))
-            torch.save({"recipe": str(recipe), "net": net.state_dict(), "update": done,
-                        "slow": slow.state_dict(), "optimiser": optimiser.state_dict(),
-                        "curve": curve}, checkpoint)  # fmt: skip
+            with whole(checkpoint) as part:
+                torch.save({"recipe": str(recipe), "net": net.state_dict(), "update": done,
+                            "slow": slow.state_dict(), "optimiser": optimiser.state_dict(),
+                            "curve": curve}, part)  # fmt: skip
         word = f"loss {running:.3f}" + (f", F1 {curve[-1][2]:.3f}" if curve else "")
         show("training", done, recipe.updates, word)
     return slow, curve

@@ -189,9 +189,8 @@ def test_an_interrupted_recording_goes_on_where_it_stopped(flights, tmp_path, mo
     with pytest.raises(KeyboardInterrupt):
         record(recording(folder), Show(None, interrupt, said.append))
     assert (folder / "vehicle_0").is_dir()
-    assert (folder / "vehicle_1.part").is_dir()
-    assert not (folder / "vehicle_1").exists()
-    assert not (folder / "log.mcap").exists()
+    names = sorted(p.name for p in folder.iterdir())
+    assert names == ["flight", "record.json", "vehicle_0"]
     kept = (folder / "vehicle_0" / "mav0" / "imu0" / "data.csv").stat().st_mtime_ns
     record(recording(folder), Show(None, lambda share: None, said.append))
     assert flights.count == 1
@@ -269,6 +268,27 @@ def test_the_command_records_and_says_where(flights, tmp_path, capsys) -> None:
     assert main([*argv, "--vehicles", "2,0", *blind]) == 0
     assert "mission done" in capsys.readouterr().out
     assert {p.name for p in (tmp_path / "set").iterdir()} >= {"vehicle_0", "vehicle_2", "payload"}
+
+
+def test_an_interrupt_while_the_logs_are_joined_leaves_no_half_log(
+    flights, tmp_path, monkeypatch
+) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("skyhaul.evaluation.dataset.sensor_log._streams", stop)
+    with pytest.raises(KeyboardInterrupt):
+        record(recording(tmp_path / "set", vehicles=(0,)), quiet())
+    names = sorted(p.name for p in (tmp_path / "set").iterdir())
+    assert names == ["flight", "payload", "record.json", "vehicle_0"]
+
+
+def test_an_interrupted_command_says_what_is_kept(flights, tmp_path, capsys) -> None:
+    flights.reason = "interrupted"
+    folder = tmp_path / "set"
+    assert main(["record", "hover", "--dataset", "euroc", "--out", str(folder)]) == 130
+    said = f"interrupted; what is whole is kept in {folder}; the same command goes on from there"
+    assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

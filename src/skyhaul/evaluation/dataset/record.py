@@ -26,7 +26,7 @@ from skyhaul.evaluation.folder import LOG, origin, write_json
 from skyhaul.evaluation.metrics import evaluate
 from skyhaul.evaluation.recorder import RunRecorder
 from skyhaul.mission.config import RunConfig
-from skyhaul.mission.flight import FlightProgress, ShowProgress, fly
+from skyhaul.mission.flight import INTERRUPTED, FlightProgress, ShowProgress, fly
 from skyhaul.mission.replay import Replay, TrackRecorder, open_replay
 from skyhaul.sensors.api import VehicleCalibration
 from skyhaul.types import Array
@@ -81,7 +81,7 @@ def record(recording: Recording, show: Show) -> dict[str, Any]:
         KeyboardInterrupt: When it was interrupted; what is whole stays.
     """
     folder = recording.folder
-    with layout.locked(folder):
+    with layout.locked(folder), _nothing_half(recording):
         known = _open(recording)
         metrics = _flight(recording, show)
         missing = [b for b in recording.bodies if not (folder / layout.body_name(b)).exists()]
@@ -121,9 +121,21 @@ def simulate(job: BodyJob, show: Callable[[float], None]) -> None:
 def _cleared(part: Path) -> Path:
     """Remove what an interrupted recording left of a part."""
     with layout.writing(part):
-        if part.exists():
+        if part.is_dir():
             shutil.rmtree(part)
+        part.unlink(missing_ok=True)
     return part
+
+
+@contextmanager
+def _nothing_half(recording: Recording) -> Iterator[None]:
+    """Remove the part that was in the making when an interrupt came."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        for name in (layout.FLIGHT, *map(layout.body_name, recording.bodies), layout.LOG):
+            _cleared(layout.partial(recording.folder / name))
+        raise
 
 
 def _simulate(
@@ -208,8 +220,7 @@ def _flight(recording: Recording, show: Show) -> dict[str, Any]:
     with report.apart(), layout.writing(part):  # its log, its tables, its metrics
         recorder = TrackRecorder(RunRecorder(part, config, seed))
         outcome = fly(config, seed, recorder, report)
-        if outcome.reason == "interrupted":
-            shutil.rmtree(part)
+        if outcome.reason == INTERRUPTED:
             raise KeyboardInterrupt
         recorder.save(part / layout.TRACK)
         metrics = evaluate(part)

@@ -29,6 +29,7 @@ from skyhaul.perception.events.api import Float32
 from skyhaul.perception.events.graph import EDGE, GraphParams, spiral
 from skyhaul.perception.events.surface import INPUTS
 from skyhaul.types import frozen
+from skyhaul.whole import whole
 
 WIDTH = 16
 """C: channels of every layer."""
@@ -181,7 +182,7 @@ def save_weights(weights: NetworkWeights, path: Path) -> None:
         "record": weights.record,
     }
     named: dict[str, Any] = {"about": np.array(json.dumps(about)), **weights.arrays()}
-    with path.open("wb") as file:
+    with whole(path) as part, part.open("wb") as file:
         np.savez_compressed(file, **named)
 
 
