@@ -3,6 +3,7 @@
 
 import heapq
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from skyhaul.evaluation.mcap_log import McapLog, RawRecord, read_raw
 from skyhaul.geometry.quaternion import R_to_quat
 from skyhaul.sensors.api import CameraCalibration, ImuCalibration, VehicleCalibration
 from skyhaul.types import Array, TimeUs
+from skyhaul.whole import whole
 
 EVENTS_PERIOD_US: TimeUs = 10_000
 """Events of so long a time go into one message [us]."""
@@ -53,20 +55,17 @@ def write_sensor_log(path: Path, flight: Path, dataset: Path, bodies: list[Body]
         dataset: Folder with the bodies' folders.
         bodies: Whose sensors go in.
     """
-    part = layout.partial(path)
-    log = McapLog(part)
     poses = [frame for body in bodies for frame in _frames(body)]
-    log.write("/tf_static", "tf2_msgs/TFMessage", 0, poses)
     streams = [_flight(flight)]
-    for body in bodies:
-        streams += _streams(dataset / body.name, body)
-    for entry in heapq.merge(*streams, key=lambda e: e.t_us):
-        if entry.data is not None:
-            log.copy(RawRecord(entry.topic, entry.type_name, entry.t_us, entry.data))
-        elif entry.leaves is not None:
-            log.write(entry.topic, entry.type_name, entry.t_us, *entry.leaves)
-    log.close()
-    part.replace(path)
+    with whole(path) as part, closing(McapLog(part)) as log:
+        log.write("/tf_static", "tf2_msgs/TFMessage", 0, poses)
+        for body in bodies:
+            streams += _streams(dataset / body.name, body)
+        for entry in heapq.merge(*streams, key=lambda e: e.t_us):
+            if entry.data is not None:
+                log.copy(RawRecord(entry.topic, entry.type_name, entry.t_us, entry.data))
+            elif entry.leaves is not None:
+                log.write(entry.topic, entry.type_name, entry.t_us, *entry.leaves)
 
 
 def _flight(path: Path) -> Iterator[Entry]:
