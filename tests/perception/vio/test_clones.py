@@ -178,6 +178,24 @@ def test_tracks_go_on_end_and_begin():
     assert tracks[7].seen_from(2).k == (2,)
 
 
+def test_tracks_of_a_silent_camera_go_on_and_are_not_seen():
+    from skyhaul.perception.vio.api import TrackFrame
+
+    def frame(ids, cameras, silent=()):
+        xy = np.full((len(ids), 2), 0.1)
+        return TrackFrame(0, np.array(ids, np.int64), np.array(cameras, np.int64), xy, silent)
+
+    tracks, _ = follow({}, frame([4, 7, 7], [0, 0, 1]), 1)
+    tracks, ended = follow(tracks, frame([8], [1], silent=(0,)), 2)
+    assert not ended
+    assert {i: t.k for i, t in tracks.items()} == {4: (1,), 7: (1, 1), 8: (2,)}
+    tracks, ended = follow(tracks, frame([4], [0], silent=(1,)), 3)
+    assert not ended
+    tracks, ended = follow(tracks, frame([4], [0]), 4)
+    assert {i for i, _ in ended} == {7, 8}
+    assert tracks[4].k == (1, 3, 4)
+
+
 def test_two_cameras_may_see_one_track():
     from skyhaul.perception.vio.api import TrackFrame
 

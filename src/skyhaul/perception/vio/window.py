@@ -97,7 +97,7 @@ class Sight(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A track that the last keyframe saw."""
+    """A track that goes on: the last keyframe saw it, or its camera delivered nothing then."""
 
     sights: tuple[Sight, ...]  # in keyframes of the window
     landmark: int = NO_LANDMARK  # key of its point
@@ -244,6 +244,9 @@ def _see(setting: Setting, window: Window, frame: TrackFrame, agrees: Mask, know
             tracks[track_id] = replace(track, misses=track.misses + 1)
         else:
             tracks[track_id] = Track(seen)
+    for track_id, track in window.tracks.items():
+        if track_id not in tracks and any(s.camera in frame.silent for s in track.sights):
+            tracks[track_id] = track
     used = int(np.count_nonzero(agrees & known))
     rejected = int(np.count_nonzero(~agrees))
     return replace(
@@ -258,7 +261,9 @@ def _see(setting: Setting, window: Window, frame: TrackFrame, agrees: Mask, know
 
 def _rows(frame: TrackFrame, mask: Mask) -> TrackFrame:
     """Some of its tracks."""
-    return TrackFrame(frame.stamp_us, frame.track_id[mask], frame.camera[mask], frame.xy[mask])
+    return replace(
+        frame, track_id=frame.track_id[mask], camera=frame.camera[mask], xy=frame.xy[mask]
+    )
 
 
 def _add_landmarks(setting: Setting, window: Window) -> Window:
