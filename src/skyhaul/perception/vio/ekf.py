@@ -313,8 +313,10 @@ def follow(
     for track_id, camera, xy in zip(
         frame.track_id.tolist(), frame.camera.tolist(), frame.xy, strict=True
     ):
-        old = going.get(track_id) or tracks.get(track_id) or ClonedTrack((), (), ())
-        going[track_id] = ClonedTrack((*old.camera, camera), (*old.k, k), (*old.xy, xy))
+        old = going.get(track_id) or tracks.get(track_id) or ClonedTrack((), (), (), ())
+        going[track_id] = ClonedTrack(
+            (*old.camera, camera), (*old.k, k), (*old.xy, xy), (*old.stamp_us, frame.stamp_us)
+        )
     missing = {i: t for i, t in tracks.items() if i not in going}
     unknown = {i: t for i, t in missing.items() if not set(frame.silent).isdisjoint(t.camera)}
     return going | unknown, [(i, t) for i, t in missing.items() if i not in unknown]
