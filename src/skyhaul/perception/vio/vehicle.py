@@ -12,8 +12,9 @@ from skyhaul.perception.vio.api import CameraRig, StartPose, VioEstimate, VioEst
 from skyhaul.perception.vio.beginning import Beginning
 from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.front_end import FeatureTracker, FrontEnd, TrackerMemory
-from skyhaul.perception.vio.imu import NO_SAMPLES, ImuNoise, believable, join, segments, since
+from skyhaul.perception.vio.imu import NO_SAMPLES, ImuNoise, join, segments, since
 from skyhaul.perception.vio.preintegration import preintegrate
+from skyhaul.perception.vio.screening import believable
 from skyhaul.perception.vio.smoother import SmootherVio
 from skyhaul.perception.vio.standing import Standing
 from skyhaul.sensors.api import (
