@@ -22,6 +22,7 @@ from result_file import Row
 from simulated_tracks import Flight, simulate
 
 from skyhaul.cli.vio import Played, play
+from skyhaul.cli.vio_source import open_source
 from skyhaul.evaluation.trajectory_error import (
     Trajectory,
     match,
@@ -34,7 +35,6 @@ from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.factors import Robust
 from skyhaul.perception.vio.recording import Recording, part
 from skyhaul.perception.vio.smoother import SmootherVio
-from skyhaul.perception.vio.track_file import read_track_file
 from skyhaul.perception.vio.window import WindowParams
 from skyhaul.types import US_PER_S
 
@@ -93,7 +93,7 @@ def covariances(played: Played) -> np.ndarray:  # type: ignore[type-arg]
 
 def real_runs(truth_file: Path) -> Iterator[dict[str, Any]]:
     """The clip, whole and cut, by both estimators."""
-    truth, recording = read_trajectory(truth_file), read_track_file(CLIP, SIGMA_PX)
+    truth, recording = read_trajectory(truth_file), open_source(CLIP, SIGMA_PX).recording
     for begin_s in BEGIN_S:
         for kind in (SmootherVio(), EkfVio()):
             yield {"begin_s": begin_s} | figures(kind, begun_at(recording, begin_s), truth)

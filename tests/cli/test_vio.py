@@ -18,11 +18,11 @@ from simulated_tracks import FOCAL_PX, Flight, simulate
 
 from skyhaul.cli.main import main
 from skyhaul.cli.recording_bar import RecordingBar
+from skyhaul.cli.vio_source import open_source
 from skyhaul.errors import FileError
 from skyhaul.evaluation.trajectory_file import read_trajectory, write_tum
 from skyhaul.geometry.quaternion import R_to_quat
 from skyhaul.perception.vio.ekf import EkfEstimator
-from skyhaul.perception.vio.track_file import read_track_file
 
 DATA = Path(os.environ.get("SKYHAUL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 CLIP = Path(gtsam.findExampleDataFile("eqvio_processed_30s.csv"))
@@ -82,7 +82,7 @@ def folder(tmp_path_factory, flown):
 
 
 def test_a_track_file_gives_back_what_was_written(folder, flown):
-    back = read_track_file(folder / "tracks.csv", 0.7)
+    back = open_source(folder / "tracks.csv", 0.7).recording
     np.testing.assert_array_equal(back.imu.stamp_us, flown.recording.imu.stamp_us)
     np.testing.assert_array_equal(back.imu.accel_I, flown.recording.imu.accel_I)
     np.testing.assert_allclose(back.rig.R_IC, flown.recording.rig.R_IC, atol=1e-12)
@@ -95,7 +95,7 @@ def test_a_track_file_gives_back_what_was_written(folder, flown):
 
 
 def test_readings_bring_every_sample_once_and_one_behind_each_frame(folder):
-    recording = read_track_file(folder / "tracks.csv", 0.7)
+    recording = open_source(folder / "tracks.csv", 0.7).recording
     stamps = [imu.stamp_us for imu, _ in recording.readings()]
     np.testing.assert_array_equal(
         np.concatenate(stamps), recording.imu.stamp_us[: sum(map(len, stamps))]
@@ -416,7 +416,7 @@ def test_extrinsics_must_be_there(folder, tmp_path):
     lines = (folder / "tracks.csv").read_text().splitlines()
     (tmp_path / "x.csv").write_text("\n".join(line for line in lines if "T_ci_tx" not in line))
     with pytest.raises(FileError, match="needs meta rows T_ci_tx"):
-        read_track_file(tmp_path / "x.csv", 1.0)
+        open_source(tmp_path / "x.csv", 1.0)
 
 
 @pytest.mark.slow

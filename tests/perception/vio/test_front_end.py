@@ -10,12 +10,12 @@ import yaml
 from simulated_tracks import Flight, rig_of, simulate
 
 from skyhaul.cli.main import main
+from skyhaul.cli.vio_source import open_source
 from skyhaul.evaluation.trajectory_file import write_tum
 from skyhaul.geometry.camera import RadTan, unproject_pixels
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.geometry.so3 import so3_exp
 from skyhaul.perception.vio.api import CameraRig
-from skyhaul.perception.vio.euroc import read_euroc
 from skyhaul.perception.vio.front_end import FrontEnd
 from skyhaul.sensors.api import CameraFrame
 
@@ -249,7 +249,7 @@ def test_where_no_place_is_seen_again_the_map_is_the_odometry(folder, capsys):
 
 
 def test_a_folder_may_be_mav0_itself(folder):
-    a, b = (read_euroc(p, 1.0, FrontEnd()) for p in (folder, folder / "mav0"))
+    a, b = (open_source(p, 1.0).recording for p in (folder, folder / "mav0"))
     np.testing.assert_array_equal(a.imu.stamp_us, b.imu.stamp_us)
     assert a.sigma == pytest.approx(1.0 / 230.0)
 
