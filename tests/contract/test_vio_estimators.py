@@ -2,6 +2,7 @@
 """What every visual-inertial estimator must do. A new one adds one entry to ESTIMATORS."""
 
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -248,6 +249,26 @@ def test_with_three_of_four_cameras_blind_for_a_second_it_goes_on(kind):
     assert all(e.status is VioStatus.TRACKING for e in known(estimates))
     error = trajectory_error(scored(estimates, FOUR))
     assert error.ate_m < 0.03 * error.path_m + 0.01
+
+
+def in_turn(frame):
+    """The first two cameras and the last two, one after the other."""
+    here = (0, 1) if frame.stamp_us % 100_000 == 0 else (2, 3)
+    some = np.isin(frame.camera, here)
+    silent = (2, 3) if here == (0, 1) else (0, 1)
+    return TrackFrame(
+        frame.stamp_us, frame.track_id[some], frame.camera[some], frame.xy[some], silent
+    )
+
+
+@every_estimator
+def test_cameras_may_take_turns(kind):
+    flight = replace(FOUR, duration_s=7.0)
+    estimates, _ = follow(kind, flight, (0.0, 99.0), hide=in_turn)
+    assert all(e.status is VioStatus.TRACKING for e in known(estimates))
+    error = trajectory_error(scored(estimates, flight))
+    assert error.ate_m < 0.02 * error.path_m + 0.01
+    assert max(e.used for e in estimates) > 6
 
 
 @every_estimator

@@ -19,6 +19,8 @@ from skyhaul.perception.vio.constraints import (
 from skyhaul.perception.vio.ekf import EkfVio, follow
 from skyhaul.perception.vio.imu import ImuNoise, advance
 
+STAMPS_US = tuple(100_000 * k for k in range(6))
+
 
 def random_covariance(rng, n):
     A = rng.normal(size=(n, n))
@@ -143,7 +145,7 @@ def test_a_constraint_does_not_depend_on_the_place_of_its_point():
         f = clone(start_filter(moved, f.covariance) if k == 0 else _at(f, moved), k)
     point = np.array([4.0, 0.5, -0.3])
     c = (np.einsum("kji,kj->ki", f.clone_R, point - f.clone_p) - rig.p_IC[0]) @ rig.R_IC[0]
-    track = ClonedTrack((0,) * 6, tuple(range(6)), tuple(c[:, :2] / c[:, 2:]))
+    track = ClonedTrack((0,) * 6, tuple(range(6)), tuple(c[:, :2] / c[:, 2:]), STAMPS_US)
     residual, H = track_constraint(f, rig, track, EkfVio(), np.ones(1))
     assert residual.shape == (9,)
     np.testing.assert_allclose(residual, 0.0, atol=1e-9)
@@ -178,6 +180,24 @@ def test_tracks_go_on_end_and_begin():
     assert tracks[7].seen_from(2).k == (2,)
 
 
+def test_tracks_of_a_silent_camera_go_on_and_are_not_seen():
+    from skyhaul.perception.vio.api import TrackFrame
+
+    def frame(ids, cameras, silent=()):
+        xy = np.full((len(ids), 2), 0.1)
+        return TrackFrame(0, np.array(ids, np.int64), np.array(cameras, np.int64), xy, silent)
+
+    tracks, _ = follow({}, frame([4, 7, 7], [0, 0, 1]), 1)
+    tracks, ended = follow(tracks, frame([8], [1], silent=(0,)), 2)
+    assert not ended
+    assert {i: t.k for i, t in tracks.items()} == {4: (1,), 7: (1, 1), 8: (2,)}
+    tracks, ended = follow(tracks, frame([4], [0], silent=(1,)), 3)
+    assert not ended
+    tracks, ended = follow(tracks, frame([4], [0]), 4)
+    assert {i for i, _ in ended} == {7, 8}
+    assert tracks[4].k == (1, 3, 4)
+
+
 def test_two_cameras_may_see_one_track():
     from skyhaul.perception.vio.api import TrackFrame
 
@@ -188,14 +208,26 @@ def test_two_cameras_may_see_one_track():
 
 
 def test_a_slide_of_tracks_is_a_walk_in_each_camera():
-    track = ClonedTrack((0, 1, 0, 1), (3, 3, 7, 7), (np.zeros(2),) * 4)
-    params = EkfVio(keyframe_s=0.1, slide=2.0)
+    stamps_us = (300_000, 300_000, 700_000, 700_000)
+    track = ClonedTrack((0, 1, 0, 1), (3, 3, 7, 7), (np.zeros(2),) * 4, stamps_us)
+    params = EkfVio(slide=2.0)
     covariance = _noise_of(track, np.full(4, 0.5), params)
     walk = 0.25 * 4.0 * 0.4
     np.testing.assert_allclose(np.diag(covariance), [0.25, 0.25, 0.25 + walk, 0.25 + walk])
     assert covariance[2, 3] == covariance[0, 2] == 0.0
-    late = ClonedTrack((0, 0, 0), (0, 4, 8), (np.zeros(2),) * 3)
+    late = ClonedTrack((0, 0, 0), (0, 4, 8), (np.zeros(2),) * 3, (0, 400_000, 800_000))
     assert _noise_of(late, np.full(3, 0.5), params)[1, 2] == pytest.approx(walk)
+
+
+def test_a_slide_grows_with_time_from_the_first_sight_of_its_camera():
+    """Keyframes may come late, and a camera may join a track long after another began it."""
+    stamps_us = (0, 250_000, 250_000, 1_000_000, 1_400_000)
+    track = ClonedTrack((0, 0, 1, 1, 0), (1, 2, 2, 3, 4), (np.zeros(2),) * 5, stamps_us)
+    covariance = _noise_of(track, np.full(5, 0.5), EkfVio(slide=2.0))
+    since_s = np.array([0.0, 0.25, 0.0, 0.75, 1.4])
+    np.testing.assert_allclose(np.diag(covariance), 0.25 * (1.0 + 4.0 * since_s))
+    assert covariance[1, 4] == pytest.approx(0.25 * 4.0 * 0.25)
+    assert covariance[2, 3] == covariance[1, 2] == covariance[3, 4] == 0.0
 
 
 def hanging(v_guess, v_true, depth_m, slide=2.0):
@@ -219,7 +251,7 @@ def hanging(v_guess, v_true, depth_m, slide=2.0):
         p_WP = depth_m * np.array([xy[0], 1.0, -xy[1]])
         seen = [p_WP - [0.1 * k * v_true, 0.0, 0.0] for k in range(6)]
         sights = [np.array([s[0] / s[1], -s[2] / s[1]]) for s in seen]
-        tracks.append(ClonedTrack((0,) * 6, tuple(range(6)), tuple(sights)))
+        tracks.append(ClonedTrack((0,) * 6, tuple(range(6)), tuple(sights), STAMPS_US))
     return f, tracks
 
 

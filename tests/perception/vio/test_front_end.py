@@ -131,7 +131,20 @@ def test_a_camera_that_hangs_delivers_nothing_and_its_corners_are_found_again():
         memory, tracks = tracker.step(memory, [frame(image, 50_000 * k)], 50_000 * k, STEADY)
         out.append(tracks)
     assert len(out[2].track_id) == 0
+    assert [tracks.silent for tracks in out] == [(), (), (0,), ()]
     assert len(shared(out[1], out[3])[0]) > 60
+
+
+def test_cameras_that_take_turns_keep_their_corners():
+    tracker = FrontEnd(features=240).build([LENS] * 2, rig_of(2))
+    memory, out = tracker.init(), []
+    for k in range(8):
+        view = look(np.array([0.0, 0.01 * k, 0.0]), R_IC)
+        memory, tracks = tracker.step(memory, [frame(view, 50_000 * k, k % 2)], 50_000 * k, STEADY)
+        out.append(tracks)
+    assert [tracks.silent for tracks in out] == [(1,), (0,)] * 4
+    for camera in (0, 1):
+        assert len(shared(out[camera], out[6 + camera])[0]) > 60
 
 
 def stereo():

@@ -8,7 +8,6 @@ from skyhaul.perception.vio.imu import (
     BLIND_MPS2,
     BLIND_RAD_S,
     ImuNoise,
-    blind_s2,
     join,
     segments,
     since,
@@ -76,18 +75,6 @@ def test_missing_samples_add_the_noise_of_an_unknown_turn():
     # Over the interval of 0.6 s: white noise turns by density sqrt(0.6 s), the gap by 1 rad/s 0.2 s
     assert wide.gyro_rad_s_rthz * np.sqrt(0.6) == pytest.approx(BLIND_RAD_S * 0.2, rel=1e-4)
     assert wide.accel_mps2_rthz * np.sqrt(0.6) == pytest.approx(BLIND_MPS2 * 0.2, rel=1e-4)
-
-
-def test_a_gap_counts_the_same_however_it_is_cut():
-    imu = with_gap(500_000, 700_000)
-    parts = [blind_s2(imu, a, a + 50_000) for a in range(400_000, 800_000, 50_000)]
-    assert sum(parts) == pytest.approx(0.2**2)
-    assert parts[:2] == [0.0, 0.0]
-
-
-def test_silence_since_the_last_sample_is_a_gap():
-    assert blind_s2(ramp(11), 50_000, 62_000) == 0.0
-    assert blind_s2(ramp(11), 50_000, 150_000) == pytest.approx(0.1**2)
 
 
 def test_noise_must_be_positive():

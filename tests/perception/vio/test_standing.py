@@ -72,6 +72,16 @@ def test_a_camera_whose_tracks_move_is_not_outvoted_by_one_that_sees_far():
     assert not stands(Standing(), both, imu(), 0.5)
 
 
+@pytest.mark.parametrize(("speed", "at_rest"), [(0.0, True), (0.02, False)])
+def test_cameras_that_take_turns_tell_too(speed, at_rest):
+    turns = []
+    for k, f in enumerate(frames(speed=speed, noise=1e-3, n=41)):
+        camera = np.full(len(f.xy), k % 2)
+        ids = f.track_id + 100 * camera
+        turns.append(TrackFrame(f.stamp_us, ids, camera, f.xy, silent=(1 - k % 2,)))
+    assert stands(Standing(), turns, imu(0.1, 2.0), 1.0) == at_rest
+
+
 def test_frames_must_reach_back_over_the_window():
     assert not stands(Standing(), frames(n=8), imu(), 0.5)
 

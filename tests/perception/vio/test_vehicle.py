@@ -86,6 +86,50 @@ def test_without_an_imu_images_do_not_wait_for_ever():
     assert [e.status for e in known] == [VioStatus.INITIALIZING]
 
 
+def fired(offsets_us, count=100):
+    """The same vehicle, its cameras firing so much later than the first."""
+    held = []
+    for reading in readings(count):
+        held += [replace(f, stamp_us=f.stamp_us + offsets_us[f.camera]) for f in reading.frames]
+        ready = tuple(f for f in held if f.stamp_us <= reading.stamp_us)
+        held = [f for f in held if f.stamp_us > reading.stamp_us]
+        yield replace(reading, frames=ready)
+
+
+@pytest.mark.parametrize(
+    ("offsets_us", "frames"),
+    [
+        ((0, 900, 1_800, 600), {0: (0, 1, 2, 3)}),
+        ((0, 25_000, 26_000, 75_000), {0: (0,), 25_000: (1, 2), 75_000: (3,)}),
+    ],
+)
+def test_images_taken_together_are_a_frame_and_others_are_frames_of_their_own(offsets_us, frames):
+    odometry = VehicleVio().build(CALIBRATION)
+    memory = odometry.init(StartPose(stands_until_us=100_000))
+    seen, came = [], []
+    for reading in fired(offsets_us):
+        memory, estimate = odometry.step(memory, reading)
+        if estimate is not None:
+            frame = memory.estimator.intake.frames[-1]
+            seen.append((frame.stamp_us - 100_000, tuple(np.unique(frame.camera))))
+            came.append(reading.stamp_us - frame.stamp_us)
+    assert seen == [(stamp, cameras) for stamp, cameras in frames.items()]
+    assert max(came) <= 4_000
+
+
+def test_images_that_come_late_together_are_frames_in_order_of_time():
+    odometry = VehicleVio().build(CALIBRATION)
+    memory, frames = odometry.init(StartPose(stands_until_us=100_000)), []
+    for reading in fired((0, 25_000, 50_000, 75_000)):
+        frames += reading.frames
+        late = reading.stamp_us == 190_000
+        reading = replace(reading, frames=tuple(frames[::-1]) if late else ())
+        memory, estimate = odometry.step(memory, reading)
+        assert (estimate is not None) == late
+    stamps = [f.stamp_us for f in memory.estimator.intake.frames]
+    assert stamps == [100_000, 125_000, 150_000, 175_000]
+
+
 @pytest.mark.parametrize(
     ("key", "value"), [("sigma_px", 0.0), ("noise_margin", -1.0), ("accel_walk_margin", 0.0)]
 )

@@ -68,6 +68,8 @@ class TrackFrame:
     track_id: IntArray  # (k,) each at most once in a camera
     camera: IntArray  # (k,) index in the rig
     xy: Array  # (k, 2) undistorted, normalised: x / z and y / z in camera axes
+    silent: tuple[int, ...] = ()
+    """Cameras that delivered no image: of their tracks nothing is known, they have not ended."""
 
     def __post_init__(self) -> None:
         frozen(self.track_id, self.camera, self.xy)

@@ -12,16 +12,11 @@ from skyhaul.geometry.so3 import hat
 from skyhaul.perception.vio.api import NE, CameraRig
 from skyhaul.perception.vio.clones import CloneFilter
 from skyhaul.perception.vio.triangulation import Point, locate
-from skyhaul.types import Array, IntArray
+from skyhaul.types import US_PER_S, Array, IntArray, TimeUs
 
 
 class SightParams(Protocol):
     """What is asked of tracks; see `ekf.EkfVio`."""
-
-    @property
-    def keyframe_s(self) -> float:
-        """Time between clones [s]."""
-        ...
 
     @property
     def slide(self) -> float:
@@ -59,11 +54,14 @@ class ClonedTrack:
     camera: tuple[int, ...]  # of each sight
     k: tuple[int, ...]  # keyframes, growing; two cameras of one keyframe may see it
     xy: tuple[Array, ...]  # (2,) each
+    stamp_us: tuple[TimeUs, ...]
 
     def seen_from(self, k: int) -> "ClonedTrack":
         """The track without what was seen before a keyframe."""
         first = sum(i < k for i in self.k)
-        return ClonedTrack(self.camera[first:], self.k[first:], self.xy[first:])
+        return ClonedTrack(
+            self.camera[first:], self.k[first:], self.xy[first:], self.stamp_us[first:]
+        )
 
 
 def track_constraint(
@@ -198,8 +196,9 @@ def _noise_of(track: ClonedTrack, sigma: Array, params: SightParams) -> Array:
     White noise, and a walk: a patch slides off its point as its look changes. Each camera walks
     on its own, from its first sight on; what came before is a shift of the point.
     """
-    t_s = params.keyframe_s * (np.array(track.k) - track.k[0])
     same = np.equal.outer(track.camera, track.camera)
+    stamp_us = np.array(track.stamp_us)
+    t_s = (stamp_us - stamp_us[np.argmax(same, axis=1)]) / US_PER_S  # since its camera's first
     walk = params.slide**2 * np.minimum.outer(t_s, t_s) * same
     covariance: Array = np.outer(sigma, sigma) * (np.eye(len(sigma)) + walk)
     return covariance

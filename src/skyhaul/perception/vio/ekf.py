@@ -41,6 +41,7 @@ from skyhaul.perception.vio.constraints import (
 )
 from skyhaul.perception.vio.imu import ImuNoise, advance, segments
 from skyhaul.perception.vio.intake import Intake
+from skyhaul.perception.vio.keyframes import kept, keyframe_due
 from skyhaul.perception.vio.rest import Rest, rest_of, widened
 from skyhaul.sensors.api import ImuReading
 from skyhaul.types import US_PER_S, Array, TimeUs
@@ -122,6 +123,7 @@ class EkfMemory:
     filter: CloneFilter | None = None
     stamp_us: TimeUs = 0  # of the filter's state
     newest: int = 0  # keyframe
+    kept_us: Mapping[int, TimeUs] = field(default_factory=dict)  # last keyframe of each camera
     tracks: Mapping[int, ClonedTrack] = field(default_factory=dict)
     seen_us: TimeUs = 0
     used: int = 0
@@ -153,8 +155,8 @@ class EkfEstimator:
         )
         filter_, noise = memory.filter, assumed.over(samples)
         predicted, Phi, Q = advance(filter_.state, samples, noise)
-        due_us = memory.stamp_us + round(0.99 * self.params.keyframe_s * US_PER_S)
-        if tracks.stamp_us < due_us:
+        frames, every_s = memory.intake.frames, self.params.keyframe_s
+        if not keyframe_due(every_s, frames, memory.stamp_us, memory.kept_us):
             covariance = Phi @ filter_.covariance[:NE, :NE] @ Phi.T + Q
             return memory, self._estimate(memory, predicted, covariance)
         filter_ = move(filter_, predicted, Phi, Q, float(samples[:, 0].sum()))
@@ -221,6 +223,7 @@ class EkfEstimator:
             filter=filter_,
             stamp_us=now,
             newest=k,
+            kept_us=kept(memory.kept_us, frame, len(self.sigma)),
             tracks=tracks,
             seen_us=now if used or rest is not Rest.NO else memory.seen_us,
             used=used,
@@ -302,11 +305,18 @@ class EkfEstimator:
 def follow(
     tracks: Mapping[int, ClonedTrack], frame: TrackFrame, k: int
 ) -> tuple[dict[int, ClonedTrack], list[tuple[int, ClonedTrack]]]:
-    """Tracks with what keyframe k sees of them, and those that ended."""
+    """Tracks with what keyframe k sees of them, and those that ended.
+
+    Tracks of a camera that delivered nothing go on as they are.
+    """
     going: dict[int, ClonedTrack] = {}
     for track_id, camera, xy in zip(
         frame.track_id.tolist(), frame.camera.tolist(), frame.xy, strict=True
     ):
-        old = going.get(track_id) or tracks.get(track_id) or ClonedTrack((), (), ())
-        going[track_id] = ClonedTrack((*old.camera, camera), (*old.k, k), (*old.xy, xy))
-    return going, [(i, t) for i, t in tracks.items() if i not in going]
+        old = going.get(track_id) or tracks.get(track_id) or ClonedTrack((), (), (), ())
+        going[track_id] = ClonedTrack(
+            (*old.camera, camera), (*old.k, k), (*old.xy, xy), (*old.stamp_us, frame.stamp_us)
+        )
+    missing = {i: t for i, t in tracks.items() if i not in going}
+    unknown = {i: t for i, t in missing.items() if not set(frame.silent).isdisjoint(t.camera)}
+    return going | unknown, [(i, t) for i, t in missing.items() if i not in unknown]

@@ -165,7 +165,8 @@ class FeatureTracker:
         rows = rows or [(none, none, np.zeros((0, 2)))]
         ids, camera, xy = (np.concatenate([r[i] for r in rows]) for i in range(3))
         memory = replace(memory, cameras=tuple(cameras), next_id=next_id)
-        return memory, TrackFrame(stamp_us, ids, camera, xy)
+        silent = tuple(c for c in range(len(self.models)) if c not in here)
+        return memory, TrackFrame(stamp_us, ids, camera, xy, silent)
 
     def _follow(self, frame: CameraFrame, before: Followed | None) -> Followed:
         """Corners of the anchor in the new image, without those that are lost."""

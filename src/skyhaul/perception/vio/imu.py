@@ -9,17 +9,14 @@ from skyhaul.geometry.quaternion import R_to_quat, quat_to_R
 from skyhaul.params import Params
 from skyhaul.perception.vio.api import NE, NavState
 from skyhaul.perception.vio.propagation import propagate
+from skyhaul.perception.vio.screening import blind_s2
 from skyhaul.sensors.api import ImuReading
 from skyhaul.types import GRAVITY_MPS2, US_PER_S, Array, TimeUs
 
 GRAVITY_W = np.array([0.0, 0.0, -GRAVITY_MPS2])
 GRAVITY_W.setflags(write=False)
-GAP_PERIODS = 3.0
-"""Samples farther apart than so many usual periods leave a gap."""
 BLIND_RAD_S, BLIND_MPS2 = 1.0, 5.0
 """How far rate and force in a gap may be from the line between its ends."""
-MOST_RAD_S, MOST_MPS2 = 70.0, 640.0
-"""The widest ranges on sale, 4000 deg/s and 64 g: no sample is beyond them."""
 SPELL_S = 2.0
 """How long a turn or a push of a vehicle lasts, about [s]."""
 
@@ -58,9 +55,9 @@ class ImuNoise(Params):
     def through_gaps(self, imu: ImuReading, from_us: TimeUs, to_us: TimeUs) -> "ImuNoise":
         """The same with what nobody measured: unknown turns and pushes while samples are missing.
 
-        A rate that is unknown by sigma for a gap of length G turns by sigma G; white noise that
-        does the same has a density of sigma sqrt(G) in it. Averaged over the interval, of which
-        h lies in the gap, its square is sigma^2 G h / (to - from).
+        A rate that is unknown by sigma, but lasts, has turned by sigma t at a time t into a gap:
+        from a to b into it the variance grows by sigma^2 (b^2 - a^2). White noise does the same
+        whose squared density is that over the length of the interval. The same holds for a push.
 
         Args:
             imu: Samples in order of time, with some before the interval.
@@ -106,37 +103,10 @@ def join(a: ImuReading, b: ImuReading) -> ImuReading:
     )
 
 
-def believable(imu: ImuReading) -> ImuReading:
-    """Samples that an IMU can measure; the others are as good as missing."""
-    fine = np.all(np.abs(imu.gyro_I) <= MOST_RAD_S, axis=1)  # false for nan
-    fine &= np.all(np.abs(imu.accel_I) <= MOST_MPS2, axis=1)
-    if fine.all():
-        return imu
-    return ImuReading(imu.stamp_us[fine], imu.gyro_I[fine], imu.accel_I[fine])
-
-
 def since(imu: ImuReading, stamp_us: TimeUs) -> ImuReading:
     """Samples from the last one at or before a time on: all that `segments` from it needs."""
     first = max(0, int(np.searchsorted(imu.stamp_us, stamp_us, side="right")) - 1)
     return ImuReading(imu.stamp_us[first:], imu.gyro_I[first:], imu.accel_I[first:])
-
-
-def blind_s2(imu: ImuReading, from_us: TimeUs, to_us: TimeUs) -> float:
-    """Sum of G h over gaps of length G, of which h lies in an interval; see `through_gaps` [s^2].
-
-    A gap is where neighbouring samples, or the last one and the end, lie farther apart than
-    `GAP_PERIODS` usual periods.
-    """
-    have = imu.stamp_us
-    if len(have) < 3:
-        return 0.0
-    usual = float(np.median(np.diff(have)))
-    last = max(int(have[-1]), to_us)
-    begin, end = have, np.append(have[1:], last)
-    length = (end - begin).astype(np.float64)
-    inside = np.minimum(end, to_us) - np.maximum(begin, from_us)
-    gap = (length > GAP_PERIODS * usual) & (inside > 0)
-    return float(length[gap] @ inside[gap]) / US_PER_S**2
 
 
 def segments(imu: ImuReading, from_us: TimeUs, to_us: TimeUs) -> Array:

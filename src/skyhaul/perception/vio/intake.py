@@ -7,8 +7,9 @@ import numpy as np
 
 from skyhaul.errors import SensorDataError
 from skyhaul.perception.vio.api import TrackFrame
-from skyhaul.perception.vio.imu import NO_SAMPLES, believable, join, since
+from skyhaul.perception.vio.imu import NO_SAMPLES, join, since
 from skyhaul.perception.vio.imu_check import check_imu
+from skyhaul.perception.vio.screening import believable
 from skyhaul.sensors.api import ImuReading
 from skyhaul.types import US_PER_S, TimeUs
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`kind: smoother`: all states and landmarks of the last seconds, solved together in GTSAM."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -19,6 +20,7 @@ from skyhaul.perception.vio.api import (
 from skyhaul.perception.vio.beginning import Beginning, begin
 from skyhaul.perception.vio.imu import ImuNoise, advance, segments
 from skyhaul.perception.vio.intake import Intake
+from skyhaul.perception.vio.keyframes import kept, keyframe_due
 from skyhaul.perception.vio.pose_update import TukeyPose
 from skyhaul.perception.vio.rest import Rest, brought_to_rest, rest_of
 from skyhaul.perception.vio.window import (
@@ -83,6 +85,7 @@ class SmootherMemory:
     start: StartPose
     intake: Intake
     window: Window | None = None
+    kept_us: Mapping[int, TimeUs] = field(default_factory=dict)  # last keyframe of each camera
     seen_us: TimeUs = 0  # last keyframe with enough landmarks
 
 
@@ -107,11 +110,11 @@ class SmootherEstimator:
             return self._begin(memory)
         window, now = memory.window, tracks.stamp_us
         samples = segments(memory.intake.imu, window.stamp_us, now)
-        due_us = window.stamp_us + round(0.99 * self.params.keyframe_s * US_PER_S)
         noise = self.params.noise.through_gaps(memory.intake.imu, window.stamp_us, now)
         state, Phi, Q = advance(window.state, samples, noise.densities())
         covariance = Phi @ window.covariance @ Phi.T + Q
-        if now < due_us:
+        frames, every_s = memory.intake.frames, self.params.keyframe_s
+        if not keyframe_due(every_s, frames, window.stamp_us, memory.kept_us):
             return memory, self._estimate(memory, state, covariance)
         standing = self.params.beginning.standing
         rest = rest_of(standing, memory.intake, state, covariance)
@@ -121,7 +124,12 @@ class SmootherEstimator:
             setting = replace(self.setting(), noise=noise)
             window = add_keyframe(setting, window, samples, tracks, rest is Rest.YES)
         seen = window.used >= self.params.least_landmarks or rest is not Rest.NO
-        memory = replace(memory, window=window, seen_us=now if seen else memory.seen_us)
+        memory = replace(
+            memory,
+            window=window,
+            kept_us=kept(memory.kept_us, tracks, len(self.sigma)),
+            seen_us=now if seen else memory.seen_us,
+        )
         return memory, self._estimate(memory, window.state, window.covariance)
 
     def landmarks(self, memory: SmootherMemory) -> dict[int, Array]:

@@ -13,7 +13,6 @@ from skyhaul.params import Params
 from skyhaul.perception.vio.api import (
     BA,
     BG,
-    MOST_CAMERAS,
     NE,
     NavState,
     P,
@@ -105,21 +104,32 @@ def stands(
 
 
 def flow(pieces: Sequence[Sequence[TrackFrame]]) -> tuple[Array, IntArray]:
-    """Motion of each track that all frames share, and its camera, (k,) each.
+    """Motion of each track that all frames of its camera share, and its camera, (k,) each.
 
     The motion is the most between its means in two pieces.
     """
+    every = list(itertools.chain.from_iterable(pieces))
+    cameras = sorted({c for frame in every for c in np.unique(frame.camera).tolist()})
     none = np.zeros(0, dtype=np.int64)
-    if not all(pieces):
-        return np.zeros(0), none
-    shared = pieces[0][0].sight_id
+    moved, camera = [np.zeros(0)], [none]
+    for c in cameras:
+        delivered = [[f for f in piece if c not in f.silent] for piece in pieces]
+        motion = _flow_of(c, delivered) if all(delivered) else np.zeros(0)
+        moved.append(motion)
+        camera.append(np.full(len(motion), c, dtype=np.int64))
+    return np.concatenate(moved), np.concatenate(camera)
+
+
+def _flow_of(camera: int, pieces: Sequence[Sequence[TrackFrame]]) -> Array:
+    """Motion of each track of a camera that all frames share, (k,)."""
+    first = pieces[0][0]
+    shared = first.sight_id[first.camera == camera]
     for frame in itertools.chain.from_iterable(pieces):
         shared = np.intersect1d(shared, frame.sight_id, assume_unique=True)
-    if not len(shared):
-        return np.zeros(0), none
     means = [_mean_of(piece, shared) for piece in pieces]
     moved = [np.linalg.norm(a - b, axis=1) for a, b in itertools.combinations(means, 2)]
-    return np.max(moved, axis=0), shared % MOST_CAMERAS
+    most: Array = np.max(moved, axis=0)
+    return most
 
 
 def _mean_of(frames: Sequence[TrackFrame], tracks: IntArray) -> Array:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Odometry of one vehicle: from the readings of its IMU and cameras to its state."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -11,8 +12,9 @@ from skyhaul.perception.vio.api import CameraRig, StartPose, VioEstimate, VioEst
 from skyhaul.perception.vio.beginning import Beginning
 from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.front_end import FeatureTracker, FrontEnd, TrackerMemory
-from skyhaul.perception.vio.imu import NO_SAMPLES, ImuNoise, believable, join, segments, since
+from skyhaul.perception.vio.imu import NO_SAMPLES, ImuNoise, join, segments, since
 from skyhaul.perception.vio.preintegration import preintegrate
+from skyhaul.perception.vio.screening import believable
 from skyhaul.perception.vio.smoother import SmootherVio
 from skyhaul.perception.vio.standing import Standing
 from skyhaul.sensors.api import (
@@ -26,6 +28,8 @@ from skyhaul.types import Array, TimeUs
 
 PATIENCE_US = 20_000
 """Images wait this long for a sample of the IMU that is not older than they are."""
+TOGETHER_US = 2_000
+"""Images of several cameras this close in time are one frame of the rig."""
 
 
 def _calibrated() -> Beginning:
@@ -114,7 +118,7 @@ class OdometryMemory:
     estimator: Any  # each kind has its own memory
     recent: ImuReading = NO_SAMPLES  # samples since the frame before, for its turn
     fresh: ImuReading = NO_SAMPLES  # samples that the estimator has not had yet
-    waiting: tuple[CameraFrame, ...] = ()
+    waiting: tuple[CameraFrame, ...] = ()  # in order of time
     stamp_us: TimeUs = -1  # of the last frame
     gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
 
@@ -134,10 +138,10 @@ class VehicleOdometry:
     def step(
         self, memory: OdometryMemory, reading: VehicleReading
     ) -> tuple[OdometryMemory, VioEstimate | None]:
-        """Take a reading in; an estimate where images became complete with it.
+        """Take a reading in; the estimate of the last frame that became complete with it.
 
-        Images wait until a sample of the IMU is there that is not older. Those that are not newer
-        than the frame before are dropped.
+        Images within `TOGETHER_US` are one frame; it waits until a sample of the IMU is there that
+        is not older. Images that are not newer than the frame before are dropped.
 
         Raises:
             SensorDataError: When the IMU delivers nonsense.
@@ -145,31 +149,34 @@ class VehicleOdometry:
         imu = ImuReading(
             reading.imu.stamp_us - self.clock_offset_us, reading.imu.gyro_I, reading.imu.accel_I
         )
-        frames = tuple(f for f in reading.frames if f.stamp_us > memory.stamp_us)
+        waiting = sorted((*memory.waiting, *reading.frames), key=lambda f: (f.stamp_us, f.camera))
         memory = replace(
             memory,
             recent=join(memory.recent, believable(imu)),
             fresh=join(memory.fresh, imu),
-            waiting=(*memory.waiting, *frames),
+            waiting=tuple(f for f in waiting if f.stamp_us > memory.stamp_us),
         )
-        if not memory.waiting:
-            return memory, None
-        stamp_us = memory.waiting[0].stamp_us
-        complete = len(memory.recent.stamp_us) and memory.recent.stamp_us[-1] >= stamp_us
-        if not complete and reading.stamp_us < stamp_us + PATIENCE_US:
-            return memory, None
-        return self._frame(memory, stamp_us)
+        estimate = None
+        while memory.waiting:
+            images = together(memory.waiting)
+            newest_us, sampled = images[-1].stamp_us, memory.recent.stamp_us
+            complete = len(sampled) > 0 and sampled[-1] >= newest_us
+            if not complete and reading.stamp_us < newest_us + PATIENCE_US:
+                break
+            memory, estimate = self._frame(memory, images)
+        return memory, estimate
 
     def _frame(
-        self, memory: OdometryMemory, stamp_us: TimeUs
+        self, memory: OdometryMemory, images: Sequence[CameraFrame]
     ) -> tuple[OdometryMemory, VioEstimate]:
-        """Follow the features into the images that wait, and take the tracks in."""
+        """Follow the features into the images of a frame, and take the tracks in."""
+        stamp_us = images[0].stamp_us
         turn = np.eye(3)
         if memory.stamp_us >= 0 and len(memory.recent.stamp_us):
             samples = segments(memory.recent, memory.stamp_us, stamp_us)
             noise = ImuNoise().densities()
             turn = preintegrate(samples, memory.gyro_bias, np.zeros(3), noise).R_ij
-        tracker, tracks = self.tracker.step(memory.tracker, memory.waiting, stamp_us, turn)
+        tracker, tracks = self.tracker.step(memory.tracker, images, stamp_us, turn)
         inner, estimate = self.estimator.step(memory.estimator, memory.fresh, tracks)
         state = estimate.state
         memory = replace(
@@ -178,8 +185,17 @@ class VehicleOdometry:
             estimator=inner,
             recent=since(memory.recent, stamp_us),
             fresh=NO_SAMPLES,
-            waiting=(),
+            waiting=memory.waiting[len(images) :],
             stamp_us=stamp_us,
             gyro_bias=memory.gyro_bias if state is None else state.gyro_bias,
         )
         return memory, estimate
+
+
+def together(images: Sequence[CameraFrame]) -> Sequence[CameraFrame]:
+    """The first images that make one frame of the rig: close in time, one of each camera."""
+    for k, image in enumerate(images):
+        again = any(image.camera == before.camera for before in images[:k])
+        if again or image.stamp_us > images[0].stamp_us + TOGETHER_US:
+            return images[:k]
+    return images

@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
-from skyhaul.geometry.quaternion import quat_to_R
+from skyhaul.geometry.quaternion import R_to_quat, quat_to_R
 from skyhaul.params import Params
 from skyhaul.perception.vio.api import CameraRig, NavState, TrackFrame
 from skyhaul.perception.vio.factors import (
@@ -97,7 +97,7 @@ class Sight(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A track that the last keyframe saw."""
+    """A track that goes on: the last keyframe saw it, or its camera delivered nothing then."""
 
     sights: tuple[Sight, ...]  # in keyframes of the window
     landmark: int = NO_LANDMARK  # key of its point
@@ -164,8 +164,8 @@ def add_keyframe(
     """The window with a new keyframe, solved; a singular one is built anew from the prediction."""
     predicted, Phi, Q = advance(window.state, samples, setting.noise.densities())
     covariance = Phi @ window.covariance @ Phi.T + Q
-    agrees, known = _agreeing(setting, window, frame, predicted, covariance)
-    grown = _grow(setting, window, samples, frame, predicted)
+    agrees, known, seen = _agreeing(setting, window, frame, predicted, covariance)
+    grown = _grow(setting, window, samples, frame, seen)
     grown = _see(setting, grown, frame, agrees, known)
     if rests:
         speed = setting.speed_sigma_mps
@@ -184,14 +184,18 @@ def _agreeing(
     frame: TrackFrame,
     predicted: NavState,
     covariance: Array,
-) -> tuple[Mask, Mask]:
-    """Which tracks agree with the landmarks and the predicted pose, and which have a landmark."""
+) -> tuple[Mask, Mask, NavState]:
+    """Which tracks agree with the landmarks and the predicted pose, and which have a landmark.
+
+    Also the prediction with the pose that they agree on: from one that is far off, as after a gap
+    in the IMU, the window would take them all for outliers.
+    """
     tracks = [window.tracks.get(int(i)) for i in frame.track_id]
     keys = [NO_LANDMARK if t is None else t.landmark for t in tracks]
     known = np.array([key != NO_LANDMARK for key in keys], dtype=np.bool_)
     agrees = np.ones(len(keys), dtype=np.bool_)
     if not known.any():
-        return agrees, known
+        return agrees, known, predicted
     points = np.array([window.values.atPoint3(key) for key in keys if key != NO_LANDMARK])
     sights = Sights(
         points,
@@ -203,7 +207,7 @@ def _agreeing(
     prior = np.asarray(np.linalg.inv(covariance[:6, :6]), dtype=np.float64)
     fix = update_pose(setting.pose, setting.rig, guess, sights, prior)
     agrees[known] = fix.inlier
-    return agrees, known
+    return agrees, known, replace(predicted, p_WI=fix.p_WI, q_WI=R_to_quat(fix.R_WI))
 
 
 def _grow(
@@ -211,11 +215,11 @@ def _grow(
     window: Window,
     samples: Array,
     frame: TrackFrame,
-    predicted: NavState,
+    guess: NavState,
 ) -> Window:
     k = window.newest + 1
     values = gtsam.Values(window.values)
-    insert_state(values, k, predicted)
+    insert_state(values, k, guess)
     imu = imu_factor(imu_parameters(setting.noise), k - 1, k, samples, window.state)
     return replace(window, newest=k, values=values, factors=(*window.factors, imu))
 
@@ -244,6 +248,9 @@ def _see(setting: Setting, window: Window, frame: TrackFrame, agrees: Mask, know
             tracks[track_id] = replace(track, misses=track.misses + 1)
         else:
             tracks[track_id] = Track(seen)
+    for track_id, track in window.tracks.items():
+        if track_id not in tracks and any(s.camera in frame.silent for s in track.sights):
+            tracks[track_id] = track
     used = int(np.count_nonzero(agrees & known))
     rejected = int(np.count_nonzero(~agrees))
     return replace(
@@ -258,7 +265,9 @@ def _see(setting: Setting, window: Window, frame: TrackFrame, agrees: Mask, know
 
 def _rows(frame: TrackFrame, mask: Mask) -> TrackFrame:
     """Some of its tracks."""
-    return TrackFrame(frame.stamp_us, frame.track_id[mask], frame.camera[mask], frame.xy[mask])
+    return replace(
+        frame, track_id=frame.track_id[mask], camera=frame.camera[mask], xy=frame.xy[mask]
+    )
 
 
 def _add_landmarks(setting: Setting, window: Window) -> Window:
