@@ -23,9 +23,7 @@ class Intake:
 
     keep_s: float
     imu: ImuReading = NO_SAMPLES
-    waiting: ImuReading = (
-        NO_SAMPLES  # the newest sample, where the next one must tell if it is true
-    )
+    waiting: ImuReading = NO_SAMPLES  # the newest sample, until the next bears it out
     frames: tuple[TrackFrame, ...] = ()
     checked: bool = False
 

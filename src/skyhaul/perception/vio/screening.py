@@ -18,7 +18,7 @@ between two samples, and what they shake (0.25 rad/s in EuRoC's V1_02)."""
 FALSE_MPS2 = 25.0
 """The same of a force: the whole range between no thrust and the most, 2.5 g; EuRoC's shakes by
 8 m/s^2."""
-ROUGH = 8.0
+ROUGH = 10.0
 """An IMU that shakes more is asked for this many times what its samples usually stand out by."""
 NEIGHBOURS = 32
 """So many samples tell how much it shakes."""
