@@ -65,6 +65,15 @@ def absurd(imu):
     return ImuReading(imu.stamp_us, gyro, accel)
 
 
+def false_now_and_then(imu):
+    """Single samples that an IMU can measure, and a vehicle cannot do."""
+    gyro, accel = imu.gyro_I.copy(), imu.accel_I.copy()
+    odd = (imu.stamp_us > 2_000_000) & (imu.stamp_us // 1000 % 300 < 5)
+    gyro[odd & (imu.stamp_us // 300_000 % 2 == 0), 1] += 20.0
+    accel[odd & (imu.stamp_us // 300_000 % 2 == 1), 0] -= 60.0
+    return ImuReading(imu.stamp_us, gyro, accel)
+
+
 @cache
 def follow(kind, flight, dark=(0.0, 0.0), start=None, hide=blind, spoil=as_measured):
     """Estimates of a flight whose cameras see less in an interval [s], and their memories."""
@@ -157,6 +166,14 @@ def test_what_no_imu_measures_counts_as_missing(kind):
         if a.state is not None and b.state is not None
     ]
     assert max(off) < 0.02
+
+
+@every_estimator
+def test_single_false_samples_are_not_believed(kind):
+    estimates, whole = follow(kind, PLAIN, spoil=false_now_and_then)[0], follow(kind, PLAIN)[0]
+    pairs = [(a, b) for a, b in zip(estimates, whole, strict=True) if a.state and b.state]
+    assert max(np.linalg.norm(a.state.p_WI - b.state.p_WI) for a, b in pairs) < 0.02
+    assert max(np.linalg.norm(a.state.v_WI - b.state.v_WI) for a, b in pairs) < 0.05
 
 
 @every_estimator

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from skyhaul.perception.vio.imu import BLIND_RAD_S, ImuNoise
-from skyhaul.perception.vio.screening import blind_s2
+from skyhaul.perception.vio.screening import blind_s2, without_false
 from skyhaul.sensors.api import ImuReading
 
 
@@ -42,3 +42,63 @@ def test_an_unknown_rate_has_turned_by_as_much_as_it_lasted():
         variance += wide.gyro_rad_s_rthz**2 * 0.05
         lasted_s = (end_us - 500_000) / 1e6
         assert np.sqrt(variance) == pytest.approx(BLIND_RAD_S * lasted_s)
+
+
+def spoilt(imu, at, gyro=(0.0, 0.0, 0.0), accel=(0.0, 0.0, 0.0)):
+    """The same with something added to a sample, or to some."""
+    rate, force = imu.gyro_I.copy(), imu.accel_I.copy()
+    rate[at] += gyro
+    force[at] += accel
+    return ImuReading(imu.stamp_us, rate, force)
+
+
+def shaking(size_rad_s, size_mps2, seed=0):
+    """An IMU at 500 Hz that shakes."""
+    rng, imu = np.random.default_rng(seed), steady(200, 2_000)
+    gyro, accel = (size * rng.normal(size=(200, 3)) for size in (size_rad_s, size_mps2))
+    return ImuReading(imu.stamp_us, imu.gyro_I + gyro, imu.accel_I + accel)
+
+
+@pytest.mark.parametrize("off", [{"gyro": (0.0, -2.0, 0.0)}, {"accel": (50.0, 0.0, 0.0)}])
+@pytest.mark.parametrize("at", [1, 50, 198])
+def test_a_sample_that_stands_out_from_its_neighbours_is_false(at, off):
+    imu = spoilt(shaking(0.02, 1.0), at, **off)
+    fine, waiting = without_false(imu)
+    assert set(imu.stamp_us) - set(fine.stamp_us) == {2_000 * at}
+    assert not len(waiting.stamp_us)
+
+
+@pytest.mark.parametrize("off", [{"gyro": (0.0, -2.0, 0.0)}, {"accel": (50.0, 0.0, 0.0)}])
+def test_the_newest_sample_waits_for_the_next_one(off):
+    imu = spoilt(shaking(0.02, 1.0), 199, **off)
+    fine, waiting = without_false(imu)
+    assert fine.stamp_us[-1] == 396_000
+    np.testing.assert_array_equal(waiting.stamp_us, [398_000])
+
+
+@pytest.mark.parametrize("last", [2, 20])
+def test_what_stays_is_motion(last):
+    imu = spoilt(shaking(0.02, 1.0), slice(100, 100 + last), (0.0, 5.0, 0.0), (40.0, 0.0, 0.0))
+    assert len(without_false(imu)[0].stamp_us) == 200
+
+
+def test_rotors_that_shake_and_turn_a_vehicle_as_fast_as_they_can_are_believed():
+    for seed in range(10):
+        shaken = shaking(1.0, 20.0, seed)
+        assert len(without_false(shaken)[0].stamp_us) >= 199
+    t = 0.002 * np.arange(200)
+    turn = np.outer(6.0 * np.sin(2 * np.pi * 8.0 * t), [1.0, 0.5, 0.0])  # 300 rad/s^2
+    push = np.outer(20.0 * np.sign(np.sin(2 * np.pi * 30.0 * t)), [0.0, 0.0, 1.0])
+    assert (
+        len(without_false(spoilt(steady(200, 2_000), slice(None), turn, push))[0].stamp_us) == 200
+    )
+
+
+def test_after_a_gap_any_sample_is_believed_that_the_next_one_bears_out():
+    imu = spoilt(without(steady(), 500_000, 600_000), slice(101, None), (9.0, 0.0, 0.0), (0, 0, 9))
+    assert len(without_false(imu)[0].stamp_us) == len(imu.stamp_us)
+
+
+def test_nonsense_in_time_is_left_to_others():
+    for imu in (steady(1), steady(0), ImuReading(*(a[::-1] for a in vars(steady()).values()))):
+        assert without_false(imu)[0] is imu

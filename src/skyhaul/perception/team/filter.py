@@ -16,6 +16,7 @@ from skyhaul.perception.team.cables import (
     rest,
     unbiased,
 )
+from skyhaul.perception.team.false_samples import believed
 from skyhaul.perception.team.layout import KEPT, FilterParams, FilterState, copied
 from skyhaul.perception.team.motion import (
     advance_load,
@@ -67,7 +68,7 @@ def tick(
         row = new.samples[k]
         i = int(row[0])
         _bridge(p, s, i, row[1] - 1e6 * p.dt[0], 0.0)
-        if row[1] > latest(s, i):
+        if row[1] > latest(s, i) and _believed_of_vehicle(p, s, i, row[1:]):
             advance_vehicle(p, s, i, row[1], three(row, 2), three(row, 5))
             s.made_up[i] = 0.0
     for i in range(n):
@@ -80,7 +81,7 @@ def tick(
         gather(p, s, load, int(new.samples[k, 0]))
     for k in range(new.load.shape[0]):
         row = new.load[k]
-        if row[0] > s.load_us[0]:
+        if row[0] > s.load_us[0] and _believed_of_load(s, row):
             advance_load(p, s, row[0], three(row, 1), three(row, 4), 1.0)
             rest(p, s, p.dt[1])
             add_balance(p, s, attached)
@@ -99,6 +100,25 @@ def tick(
         if s.load_us[2] > 0.2:
             correct_at_rest(s)
     return s, read_out(p, s, t_us, attached)
+
+
+@njit
+def _believed_of_vehicle(p: FilterParams, s: FilterState, i: int, sample: Array) -> bool:
+    """Whether a sample of vehicle i, (7,), is believed; the first one is."""
+    if s.head[i] == 0.0:
+        return True
+    last = s.past[i, int(s.head[i] - 1.0) % KEPT]
+    dt = 1e-6 * (sample[0] - last[0]) + s.made_up[i] * p.dt[0]
+    return believed(last[1:], s.waiting[i], sample, dt)
+
+
+@njit
+def _believed_of_load(s: FilterState, sample: Array) -> bool:
+    """The same of the load; its biases are small beside what is asked for."""
+    if s.load_us[3] == 0.0:
+        return True
+    dt = 1e-6 * (sample[0] - s.load_us[0])
+    return believed(s.load_last[:6], s.waiting[-1], sample, dt)
 
 
 @njit

@@ -212,6 +212,7 @@ class FusedEstimator:
             past=np.zeros((n, KEPT, 7)),
             head=np.zeros(n),
             made_up=np.zeros(n),
+            waiting=np.tile([-1.0, *np.zeros(6)], (n + 1, 1)),
             window=np.zeros((n, 8)),
             balance=np.zeros((n, 4)),
             sums=np.zeros(7),

@@ -75,6 +75,7 @@ class FilterState(NamedTuple):
     past: Array  # (n, KEPT, 7) time at the end of the sample, rate, force, I axes; ring
     head: Array  # (n,) samples so far, those made up included
     made_up: Array  # (n,) samples made up since the last that came
+    waiting: Array  # (n + 1, 7) as `past`, samples that must be borne out, time -1: none; load last
     window: Array  # (n, 8) sums: force in V axes 0:3, direction 3:6, samples, off the floor
     balance: Array  # (n, 4) sums since the load's last sample: force in V axes, samples
     sums: Array  # (7,) force and moment left over, W and L axes; samples
@@ -88,6 +89,6 @@ def copied(s: FilterState) -> FilterState:
     return FilterState(
         s.load.copy(), s.load_last.copy(), s.load_us.copy(), s.nav.copy(), s.nav_last.copy(),
         s.vio.copy(), s.vio_cov.copy(), s.offset.copy(), s.P.copy(), s.past.copy(),
-        s.head.copy(), s.made_up.copy(), s.window.copy(), s.balance.copy(), s.sums.copy(),
-        s.taut.copy(), s.tally.copy(),
+        s.head.copy(), s.made_up.copy(), s.waiting.copy(), s.window.copy(), s.balance.copy(),
+        s.sums.copy(), s.taut.copy(), s.tally.copy(),
     )  # fmt: skip

@@ -85,7 +85,10 @@ class EkfVio(Params):
     far_m: float = 10.0
     """Points of bearings that stand are taken to lie here: cautious where most are nearer [m]."""
     lost_s: float = 2.0
-    """Without a track that passes for this long the status is LOST [s]."""
+    """TRACKING asks that in this time `least_passed` tracks passed and more than did not, by their
+    last sights, or that the vehicle rested or began [s]."""
+    least_passed: int = 4
+    """See `lost_s`."""
     beginning: Beginning = field(default_factory=Beginning)
     """How the first state is found."""
     noise: ImuNoise = field(default_factory=ImuNoise)
@@ -114,6 +117,10 @@ class EkfVio(Params):
         return EkfEstimator(self, rig, np.broadcast_to(sigma, len(rig.p_IC)))
 
 
+Trial = tuple[TimeUs, bool]
+"""A track that was asked: when it was seen last, and whether it passed."""
+
+
 @dataclass(frozen=True, eq=False)
 class EkfMemory:
     """What the filter remembers."""
@@ -125,7 +132,9 @@ class EkfMemory:
     newest: int = 0  # keyframe
     kept_us: Mapping[int, TimeUs] = field(default_factory=dict)  # last keyframe of each camera
     tracks: Mapping[int, ClonedTrack] = field(default_factory=dict)
-    seen_us: TimeUs = 0
+    seen_us: TimeUs = 0  # a track passed, or the vehicle rested
+    sure_us: TimeUs = 0  # the vehicle rested, or began
+    tried: tuple[Trial, ...] = ()  # in the last `lost_s`
     used: int = 0
     rejected: int = 0
 
@@ -190,7 +199,7 @@ class EkfEstimator:
             none = np.zeros((NE, NE))
             return memory, VioEstimate(frame.stamp_us, VioStatus.INITIALIZING, None, none, 0, 0)
         memory = self._keyframe(memory, start_filter(*first), frame)
-        memory = replace(memory, seen_us=frame.stamp_us)
+        memory = replace(memory, seen_us=frame.stamp_us, sure_us=frame.stamp_us)
         return memory, self._estimate(memory, first[0], first[1].copy())
 
     def _keyframe(self, memory: EkfMemory, filter_: CloneFilter, frame: TrackFrame) -> EkfMemory:
@@ -207,12 +216,14 @@ class EkfEstimator:
             filter_ = correct(filter_, -filter_.state.v_WI, H, standing.speed_sigma_mps)
         tracks, ended = follow(memory.tracks, frame, k)
         due = [*ended, *self._ripe(tracks, filter_)]
-        filter_, used, rejected = self._use(filter_, [t for _, t in due])
+        filter_, tried = self._use(filter_, [t for _, t in due])
+        used = sum(passed for _, passed in tried)
         adrift = now - memory.seen_us > round(p.adrift_s * US_PER_S)
         if adrift and not used and rest is Rest.NO:
             longest = self._longest(tracks)
             filter_, used = self._hold(filter_, [t for _, t in longest])
             due = [*due, *(longest if used else ())]
+            tried = [*tried, *[(now, True)] * used]
         for track_id, _ in due:
             tracks.pop(track_id, None)
         if len(filter_.clone_k) > p.clones:
@@ -226,8 +237,10 @@ class EkfEstimator:
             kept_us=kept(memory.kept_us, frame, len(self.sigma)),
             tracks=tracks,
             seen_us=now if used or rest is not Rest.NO else memory.seen_us,
+            sure_us=now if rest is not Rest.NO else memory.sure_us,
+            tried=tuple(t for t in (*memory.tried, *tried) if self._lately(t[0], now)),
             used=used,
-            rejected=rejected,
+            rejected=sum(not passed for _, passed in tried),
         )
 
     def _ripe(
@@ -253,19 +266,21 @@ class EkfEstimator:
 
     def _use(
         self, filter_: CloneFilter, tracks: Sequence[ClonedTrack]
-    ) -> tuple[CloneFilter, int, int]:
-        """Update with the tracks that pass; how many did and how many did not."""
-        found = []
+    ) -> tuple[CloneFilter, list[Trial]]:
+        """Update with the tracks that pass; which did and which did not."""
+        found, seen_us = [], []
         for track in tracks:
             if len(track.k) >= self.params.least_sights:
                 c = track_constraint(filter_, self.rig, track, self.params, self.sigma)
                 if c is not None:
                     found.append(c)
+                    seen_us.append(track.stamp_us[-1])
         good = agreeing(filter_, [c for c in found if self._passes(filter_, *c)], self.params.gate)
         if good:
             residual, H = np.concatenate([r for r, _ in good]), np.vstack([H for _, H in good])
             filter_ = correct(filter_, residual, H, 1.0)
-        return filter_, len(good), len(found) - len(good)
+        passed = {id(c) for c in good}
+        return filter_, [(t, id(c) in passed) for t, c in zip(seen_us, found, strict=True)]
 
     def _hold(self, filter_: CloneFilter, tracks: Sequence[ClonedTrack]) -> tuple[CloneFilter, int]:
         """Update with tracks that are not ripe, if most of them agree with the filter; how many.
@@ -295,10 +310,16 @@ class EkfEstimator:
         bound = chdtri(len(residual), 1.0 - self.params.gate)
         return bool(residual @ np.linalg.solve(S, residual) <= bound)
 
+    def _lately(self, stamp_us: TimeUs, now: TimeUs) -> bool:
+        """Whether something was less than `lost_s` ago."""
+        return now - stamp_us <= round(self.params.lost_s * US_PER_S)
+
     def _estimate(self, memory: EkfMemory, state: NavState, covariance: Array) -> VioEstimate:
         now = memory.intake.now_us
-        lost = now - memory.seen_us > round(self.params.lost_s * US_PER_S)
-        status = VioStatus.LOST if lost else VioStatus.TRACKING
+        passed = [passed for seen_us, passed in memory.tried if self._lately(seen_us, now)]
+        held = sum(passed) >= self.params.least_passed and 2 * sum(passed) > len(passed)
+        tracking = held or self._lately(memory.sure_us, now)
+        status = VioStatus.TRACKING if tracking else VioStatus.LOST
         return VioEstimate(now, status, state, covariance, memory.used, memory.rejected)
 
 

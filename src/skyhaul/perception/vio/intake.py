@@ -9,7 +9,7 @@ from skyhaul.errors import SensorDataError
 from skyhaul.perception.vio.api import TrackFrame
 from skyhaul.perception.vio.imu import NO_SAMPLES, join, since
 from skyhaul.perception.vio.imu_check import check_imu
-from skyhaul.perception.vio.screening import believable
+from skyhaul.perception.vio.screening import believable, without_false
 from skyhaul.sensors.api import ImuReading
 from skyhaul.types import US_PER_S, TimeUs
 
@@ -23,6 +23,7 @@ class Intake:
 
     keep_s: float
     imu: ImuReading = NO_SAMPLES
+    waiting: ImuReading = NO_SAMPLES  # the newest sample, until the next bears it out
     frames: tuple[TrackFrame, ...] = ()
     checked: bool = False
 
@@ -32,7 +33,9 @@ class Intake:
         return self.frames[-1].stamp_us
 
     def take(self, imu: ImuReading, tracks: TrackFrame) -> "Intake":
-        """Add what came; once the start is checked, samples that no IMU measures count as missing.
+        """Add what came; false samples count as missing.
+
+        Those that no IMU measures do so once the start is checked.
 
         Raises:
             SensorDataError: When time goes back, or when the first second is nonsense.
@@ -42,13 +45,14 @@ class Intake:
                 f"tracks: a frame at {tracks.stamp_us} us came after one at {self.now_us} us; "
                 f"stamps must grow from frame to frame"
             )
-        have, new = self.imu.stamp_us, imu.stamp_us
+        had = join(self.imu, self.waiting)
+        have, new = had.stamp_us, imu.stamp_us
         if len(have) and len(new) and new[0] <= have[-1]:
             raise SensorDataError(
                 f"IMU: a sample at {new[0]} us came after one at {have[-1]} us; "
                 f"stamps must grow from sample to sample"
             )
-        samples = join(self.imu, believable(imu) if self.checked else imu)
+        samples = join(had, believable(imu) if self.checked else imu)
         checked = self.checked
         oldest_us = tracks.stamp_us - round(self.keep_s * US_PER_S)
         frames = tuple(f for f in (*self.frames, tracks) if f.stamp_us >= oldest_us)
@@ -56,7 +60,8 @@ class Intake:
         if not checked and (_span_s(samples) >= CHECK_S or span_s >= 1.5 * CHECK_S):
             check_imu(samples)
             checked = True
-        return replace(self, imu=since(samples, oldest_us), frames=frames, checked=checked)
+        imu, waiting = without_false(since(samples, oldest_us))
+        return replace(self, imu=imu, waiting=waiting, frames=frames, checked=checked)
 
 
 def _span_s(imu: ImuReading) -> float:

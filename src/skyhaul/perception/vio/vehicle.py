@@ -14,7 +14,7 @@ from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.front_end import FeatureTracker, FrontEnd, TrackerMemory
 from skyhaul.perception.vio.imu import NO_SAMPLES, ImuNoise, join, segments, since
 from skyhaul.perception.vio.preintegration import preintegrate
-from skyhaul.perception.vio.screening import believable
+from skyhaul.perception.vio.screening import believable, without_false
 from skyhaul.perception.vio.smoother import SmootherVio
 from skyhaul.perception.vio.standing import Standing
 from skyhaul.sensors.api import (
@@ -173,7 +173,8 @@ class VehicleOdometry:
         stamp_us = images[0].stamp_us
         turn = np.eye(3)
         if memory.stamp_us >= 0 and len(memory.recent.stamp_us):
-            samples = segments(memory.recent, memory.stamp_us, stamp_us)
+            fine, _ = without_false(memory.recent)
+            samples = segments(fine, memory.stamp_us, stamp_us)
             noise = ImuNoise().densities()
             turn = preintegrate(samples, memory.gyro_bias, np.zeros(3), noise).R_ij
         tracker, tracks = self.tracker.step(memory.tracker, images, stamp_us, turn)
