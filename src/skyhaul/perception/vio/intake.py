@@ -23,9 +23,9 @@ class Intake:
 
     keep_s: float
     imu: ImuReading = NO_SAMPLES
-    waiting: ImuReading = NO_SAMPLES  # the newest sample, until the next bears it out
     frames: tuple[TrackFrame, ...] = ()
     checked: bool = False
+    waiting: ImuReading = NO_SAMPLES  # the newest sample, until the next bears it out
 
     @property
     def now_us(self) -> TimeUs:
