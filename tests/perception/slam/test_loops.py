@@ -10,6 +10,7 @@ from skyhaul.geometry.camera import RadTan
 from skyhaul.geometry.quaternion import R_to_quat, quat_to_R
 from skyhaul.geometry.so3 import rotation_z, so3_exp, so3_log
 from skyhaul.perception.slam.closure import ClosureRules, close, match
+from skyhaul.perception.slam.keyframes import KeyframeRules
 from skyhaul.perception.slam.loops import LoopRules, on_map
 from skyhaul.perception.slam.places import Corners, Place
 from skyhaul.perception.vio.api import CameraRig, NavState, VioEstimate, VioStatus
@@ -20,7 +21,7 @@ FRONT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 RIG = CameraRig(
     np.array([FRONT, rotation_z(np.pi / 2) @ FRONT]), np.array([[0.1, 0, 0], [0, 0.1, 0]])
 )
-RULES = LoopRules(learn_from=4, words=64, least_gap_s=5.0)
+RULES = LoopRules(keyframes=KeyframeRules(learn_from=4, words=64), least_gap_s=5.0)
 FOCAL = LENS.fx
 
 
@@ -196,7 +197,7 @@ def test_keyframes_go_by_way_turn_and_while_lost_by_time():
     assert closer.due(memory, estimate(0.5, 0.0, yaw=0.3))
     assert not closer.due(memory, estimate(9.0, 0.0))  # it stands
     assert closer.due(memory, estimate(0.6, 0.0, status=VioStatus.LOST))
-    full = replace(RULES, most_places=1).build(RIG, (LENS, LENS))
+    full = LoopRules(keyframes=KeyframeRules(most_places=1)).build(RIG, (LENS, LENS))
     assert not full.due(memory, estimate(0.5, 0.6))
 
 

@@ -17,19 +17,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skyhaul.geometry.camera import CameraArrays
-from skyhaul.geometry.quaternion import R_to_quat, quat_mul, quat_to_R
+from skyhaul.geometry.quaternion import R_to_quat, quat_mul
 from skyhaul.geometry.so3 import hat, so3_log
 from skyhaul.params import Params
 from skyhaul.perception.slam.closure import Closure, ClosureRules, close
-from skyhaul.perception.slam.places import NO_CORNERS, Place, corners_of, points_of
+from skyhaul.perception.slam.keyframes import CameraLook, KeyframeRules, indexed, place_of
+from skyhaul.perception.slam.places import Place
 from skyhaul.perception.slam.pose_graph import Relation, correction, optimize_poses
-from skyhaul.perception.slam.words import PlaceIndex, train_words
+from skyhaul.perception.slam.words import PlaceIndex
 from skyhaul.perception.vio.api import CameraRig, NavState, VioEstimate, VioStatus
 from skyhaul.perception.vio.front_end import Followed
 from skyhaul.types import US_PER_S, Array
 
-LEARN_FROM = 1500
-"""Descriptors from which words are learnt, about."""
 LEAST_M, LEAST_RAD = 2e-3, 3e-4
 """Least standard deviation of the odometry from keyframe to keyframe."""
 
@@ -38,26 +37,12 @@ LEAST_M, LEAST_RAD = 2e-3, 3e-4
 class LoopRules(Params):
     """When keyframes are made, and what a loop must show."""
 
-    keyframe_m: float = 0.5
-    """Way from keyframe to keyframe [m] ..."""
-    keyframe_deg: float = 15.0
-    """... or turn [deg]; while it is slow: ..."""
-    slow_s: float = 1.0
-    """... time [s] ..."""
-    slow_m: float = 0.1
-    """... in which it moves by this at least [m]."""
+    keyframes: KeyframeRules = field(default_factory=KeyframeRules)
+    """When keyframes are made, and what they hold."""
     lost_s: float = 0.5
     """While the odometry is LOST: time from keyframe to keyframe [s]."""
     least_gap_s: float = 8.0
     """Places left less than this long ago are not looked for [s]."""
-    corners: int = 120
-    """Corners of a camera's image that are described."""
-    spacing_px: int = 8
-    """Least distance of two of them [px]."""
-    words: int = 256
-    """Size of the vocabulary, which is learnt from the first keyframes."""
-    learn_from: int = 8
-    """So many keyframes."""
     candidates: int = 3
     """Places that are checked at a keyframe, the most alike."""
     odometry_m_per_sqrt_m: float = 0.02
@@ -73,18 +58,15 @@ class LoopRules(Params):
     """Loops of successive keyframes must agree within this and the odometry's drift [m] ..."""
     agree_deg: float = 2.0
     """... and this [deg]."""
-    most_places: int = 4000
-    """Keyframes that are kept; when they are full the map no longer grows."""
     closure: ClosureRules = field(default_factory=ClosureRules)
     """When two places are one."""
 
     def __post_init__(self) -> None:
-        for name in ("keyframe_m", "keyframe_deg", "lost_s", "least_gap_s", "agree_m", "agree_deg"):
+        for name in ("lost_s", "least_gap_s", "agree_m", "agree_deg"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)}")
-        for name in ("corners", "words", "learn_from", "candidates", "most_places"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be >= 1, got {getattr(self, name)}")
+        if self.candidates < 1:
+            raise ValueError(f"candidates must be >= 1, got {self.candidates}")
 
     def build(self, rig: CameraRig, lenses: Sequence[CameraArrays]) -> "LoopCloser":
         """The loop closer of a rig."""
@@ -129,19 +111,15 @@ class LoopCloser:
 
     def due(self, memory: LoopMemory, estimate: VioEstimate) -> bool:
         """Whether an estimate makes a keyframe."""
-        rules, x = self.rules, estimate.state
-        if x is None or len(memory.places) >= rules.most_places:
+        rules = self.rules
+        if estimate.state is None or len(memory.places) >= rules.keyframes.most_places:
             return False
         if not memory.places:
             return True
         last = memory.places[-1]
         if estimate.status is VioStatus.LOST:
             return estimate.stamp_us - last.stamp_us >= round(rules.lost_s * US_PER_S)
-        turn = np.linalg.norm(so3_log(last.R_WI.T @ quat_to_R(x.q_WI)))
-        way = float(np.linalg.norm(x.p_WI - last.p_WI))
-        slow = estimate.stamp_us - last.stamp_us >= round(rules.slow_s * US_PER_S)
-        moved = way >= rules.keyframe_m or (slow and way >= rules.slow_m)
-        return moved or float(turn) >= math.radians(rules.keyframe_deg)
+        return rules.keyframes.moved(last, estimate)
 
     def step(
         self,
@@ -158,22 +136,15 @@ class LoopCloser:
             views: What its front end follows in each camera.
             landmarks: Points of its tracks, W axes, (3,) [m] each.
         """
-        x = estimate.state
-        assert x is not None, "a keyframe is due only where there is a state"
-        R_WI = quat_to_R(x.q_WI)
-        corners = corners_of(self.lenses, views, self.rules.corners, self.rules.spacing_px)
-        points, descriptor = points_of(views, landmarks, R_WI, x.p_WI)
-        covariance = estimate.covariance[:6, :6].copy()
-        place = Place(
-            estimate.stamp_us, R_WI, x.p_WI.copy(), covariance, corners, points, descriptor
-        )
-        return self.add(memory, place)
+        look = CameraLook(self.rules.keyframes, self.lenses, views, lambda: landmarks)
+        return self.add(memory, place_of(estimate, look))
 
     def add(self, memory: LoopMemory, place: Place) -> LoopMemory:
         """Add a place, look for it among those before, close the loop."""
         memory = self._appended(memory, place)
         found = self._recognise(memory, place)
-        return self._closed(self._learn(memory), found)
+        index, places = indexed(self.rules.keyframes, memory.index, memory.places)
+        return self._closed(replace(memory, index=index, places=places), found)
 
     def _appended(self, memory: LoopMemory, place: Place) -> LoopMemory:
         """The map with one more place, joined to the one before by the odometry."""
@@ -188,25 +159,6 @@ class LoopCloser:
             graph_p=np.concatenate([memory.graph_p, p_MI[None]]),
             odometry=odometry,
         )
-
-    def _learn(self, memory: LoopMemory) -> LoopMemory:
-        """Put the newest place into the index; make the index once there are enough.
-
-        What a place looks like is in the index then, and is no longer kept itself.
-        """
-        index, places = memory.index, memory.places
-        if index is not None:
-            index = index.add(places[-1].corners.descriptor)
-            return replace(memory, index=index, places=(*places[:-1], _indexed(places[-1])))
-        seen = [p.corners.descriptor for p in places]
-        if len(seen) < self.rules.learn_from or not sum(map(len, seen)):
-            return memory
-        every = max(1, sum(map(len, seen)) // LEARN_FROM)
-        words = train_words(np.concatenate(seen)[::every], self.rules.words, seed=0, rounds=4)
-        index = PlaceIndex(words)
-        for rows in seen:
-            index = index.add(rows)
-        return replace(memory, index=index, places=tuple(_indexed(p) for p in places))
 
     def _recognise(self, memory: LoopMemory, now: Place) -> Found | None:
         """The place of before that is most alike and stands all checks."""
@@ -309,8 +261,3 @@ def _found(memory: LoopMemory, i: int, j: int, closure: Closure) -> Found:
     now = memory.places[j]
     R_MW, p_MW = correction((now.R_WI, now.p_WI), (R_M, p_M))
     return Found(Relation(i, j, closure.R, closure.p, closure.covariance), R_MW, p_MW)
-
-
-def _indexed(place: Place) -> Place:
-    """A place without what the index holds of it."""
-    return replace(place, corners=NO_CORNERS)
