@@ -179,6 +179,13 @@ class EkfEstimator:
                 out[track_id] = point.p_WP
         return out
 
+    def restart(self, memory: EkfMemory, state: NavState, covariance: Array) -> EkfMemory:
+        """See `VioEstimator.restart`."""
+        frame = memory.intake.frames[-1]
+        fresh = replace(memory, tracks={})
+        memory = self._keyframe(fresh, start_filter(state, covariance), frame)
+        return replace(memory, seen_us=frame.stamp_us)
+
     def _begin(self, memory: EkfMemory) -> tuple[EkfMemory, VioEstimate]:
         p, frame = self.params, memory.intake.frames[-1]
         first = begin(
@@ -187,8 +194,7 @@ class EkfEstimator:
         if first is None:
             none = np.zeros((NE, NE))
             return memory, VioEstimate(frame.stamp_us, VioStatus.INITIALIZING, None, none, 0, 0)
-        memory = self._keyframe(memory, start_filter(*first), frame)
-        memory = replace(memory, seen_us=frame.stamp_us)
+        memory = self.restart(memory, *first)
         return memory, self._estimate(memory, first[0], first[1].copy())
 
     def _keyframe(self, memory: EkfMemory, filter_: CloneFilter, frame: TrackFrame) -> EkfMemory:
