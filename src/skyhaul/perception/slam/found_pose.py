@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A place that is seen again takes the drift out of a state: one Kalman update."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from skyhaul.geometry.quaternion import R_to_quat, quat_exp, quat_mul, quat_normalize, quat_to_R
+from skyhaul.geometry.quaternion import quat_exp, quat_mul, quat_normalize, quat_to_R
 from skyhaul.geometry.so3 import hat, so3_log
 from skyhaul.perception.slam.closure import Closure
 from skyhaul.perception.slam.places import Place
@@ -25,33 +27,47 @@ def off_by(state: NavState, pose: tuple[Array, Array]) -> Array:
     return np.concatenate([p_WI - state.p_WI, so3_log(quat_to_R(state.q_WI).T @ R_WI)])
 
 
-def in_world(closure: Closure, R_WI: Array) -> Array:
-    """Covariance of a closure's error (p, R), (6, 6): p from the body's axes to those of W."""
-    turn = np.eye(6)
-    turn[:3, :3] = R_WI
-    covariance: Array = turn @ closure.covariance @ turn.T
-    return covariance
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """The errors of a pose that a closure finds: one that the state of now has too, one that not.
+
+    Both are errors of (p, R) as those of a state.
+    """
+
+    held: Array  # (15, 15) covariance of what the state of now is off since it was at the place
+    own: Array  # (6, 6) covariance of the rest
+
+    @property
+    def covariance(self) -> Array:
+        """Of the pose found, (6, 6)."""
+        return self.held[POSE, POSE] + self.own
 
 
-def carried(place: Place, state: NavState, pose: tuple[Array, Array]) -> Array:
-    """The part of a state's covariance that is the error of a place, (15, 15).
+def shared(place: Place, state: NavState, closure: Closure) -> Shared:
+    """The error of a place, carried to now, and that of the closure.
 
-    What the odometry was off at the place it is off ever since: shifted by e_p, turned by
-    phi = R_a e_R about the place, so p is off by e_p + phi x (p - p_a), v by phi x v.
+    Position and heading are never measured: what the odometry was off in them at the place it is
+    off ever since. Shifted by e_p and turned by phi = z z^T R_a e_R about the place, p is off by
+    e_p + phi x (p - p_a), v by phi x v. Roll and pitch are measured anew all the time: theirs at
+    the place turns the pose found, not the state of now.
 
     Args:
         place: The place a.
         state: Of now; its velocity is looked at.
-        pose: R_WI and p_WI of now.
+        closure: The pose of now in the place's axes.
     """
-    R_WI, p_WI = pose
-    J = np.zeros((NE, 6))
+    R_WI, p_WI = found_pose(place, closure)
+    turn = np.zeros((NE, 3))  # by phi
+    turn[P], turn[R], turn[V] = -hat(p_WI - place.p_WI), R_WI.T, -hat(state.v_WI)
+    up = np.diag([0.0, 0.0, 1.0])
+    J, tilt = np.zeros((NE, 6)), np.zeros((NE, 6))
     J[P, :3] = np.eye(3)
-    J[P, 3:] = -hat(p_WI - place.p_WI) @ place.R_WI
-    J[R, 3:] = R_WI.T @ place.R_WI
-    J[V, 3:] = -hat(state.v_WI) @ place.R_WI
-    covariance: Array = J @ place.covariance @ J.T
-    return covariance
+    J[:, 3:] = turn @ up @ place.R_WI
+    tilt[:, 3:] = turn @ (np.eye(3) - up) @ place.R_WI
+    S, tilt, axes = place.covariance, tilt[POSE], np.eye(6)
+    axes[:3, :3] = R_WI
+    own = tilt @ S @ tilt.T + axes @ closure.covariance @ axes.T
+    return Shared(J @ S @ J.T, own)
 
 
 def without_drift(
@@ -59,11 +75,11 @@ def without_drift(
 ) -> tuple[NavState, Array]:
     """State and covariance (15, 15) after a place was seen again.
 
-    The error since the place, d, has the covariance that is not carried from the place,
-    D = S - J S_a J^T, and the closure measures it: z = d + e_c. K = D H^T (H D H^T + C)^-1,
-    S' = (I - K H) D (I - K H)^T + K C K^T + J S_a J^T. In the tangent at the state z is linear, so
-    that a large correction needs no iteration; S' is moved to the tangent at the new state. If z
-    is further off than D allows, D is widened by as much: dead reckoning did not know its error.
+    The error since the place, d, has the covariance that is not held from then, D = S - S_a, and
+    the closure measures it: z = d + e_c. K = D H^T (H D H^T + C)^-1,
+    S' = (I - K H) D (I - K H)^T + K C K^T + S_a. In the tangent at the state z is linear, so that
+    a large correction needs no iteration; S' is moved to the tangent at the new state. If z is
+    further off than D allows, D is widened by as much: dead reckoning did not know its error.
 
     Args:
         state: Of now, with the drift in it.
@@ -71,17 +87,15 @@ def without_drift(
         place: The place, by the same odometry.
         closure: The pose of now in its axes.
     """
-    pose = found_pose(place, closure)
-    held, C = carried(place, state, pose), in_world(closure, pose[0])
-    D, z = _positive(covariance - held), off_by(state, pose)
-    D = D * max(1.0, z @ np.linalg.solve(D[POSE, POSE] + C, z) / 6.0)
+    common = shared(place, state, closure)
+    C, D = common.own, _positive(covariance - common.held)
+    z = off_by(state, found_pose(place, closure))
+    D = D * max(1.0, float(z @ np.linalg.solve(D[POSE, POSE] + C, z)) / len(z))
     K = np.linalg.solve(D[POSE, POSE] + C, D[POSE]).T
     I_KH = np.eye(NE)
     I_KH[:, POSE] -= K
-    after = I_KH @ D @ I_KH.T + K @ C @ K.T + held
-    e = K @ z
-    turn = np.eye(NE)
-    Jr = np.empty((3, 3))
+    after = I_KH @ D @ I_KH.T + K @ C @ K.T + common.held
+    e, turn, Jr = K @ z, np.eye(NE), np.empty((3, 3))
     right_jacobian(e[R], Jr)
     turn[R, R] = Jr
     after = turn @ after @ turn.T

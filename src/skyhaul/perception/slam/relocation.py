@@ -20,10 +20,9 @@ from skyhaul.params import Params
 from skyhaul.perception.slam.closure import Closure, ClosureRules, close
 from skyhaul.perception.slam.found_pose import (
     POSE,
-    carried,
     found_pose,
-    in_world,
     off_by,
+    shared,
     without_drift,
 )
 from skyhaul.perception.slam.keyframes import CameraLook, KeyframeRules, Look, indexed, place_of
@@ -204,7 +203,8 @@ class Relocaliser:
     ) -> tuple[LandmarkMap, tuple[NavState, Array] | None]:
         """Take the drift out; the vehicle is no longer astray if it was not when it was there."""
         place, x = memory.places[fix.place], estimate.state
-        assert x is not None and memory.astray_us is not None, "asked for before"
+        assert x is not None, "asked for before"
+        assert memory.astray_us is not None, "asked for before"
         state, covariance = without_drift(x, estimate.covariance, place, fix.closure)
         if not _spread(covariance) < self.rules.gain * _spread(estimate.covariance):
             return replace(memory, waiting=fix), None
@@ -221,28 +221,33 @@ class Relocaliser:
     def _recognise(
         self, memory: LandmarkMap, estimate: VioEstimate, now: Corners, among: frozenset[int]
     ) -> Fix | None:
-        """The place that is most alike and stands all checks; without an index the newest."""
-        rules, index, focal = self.rules, memory.index, self.lenses[0].fx
-        if index is None:
-            order = sorted(among, reverse=True)
-        else:
+        """Of the places that are most alike and stand all checks that which tells most exactly."""
+        rules, index, x = self.rules, memory.index, estimate.state
+        assert x is not None, "asked for before"
+        order = sorted(among, reverse=True)
+        if index is not None:
             alike = index.query(now.descriptor, len(memory.places), len(memory.places))
             order = [c.place for c in alike if c.place in among][: rules.candidates]
+        found = []
         for i in order:
             place = memory.places[i]
-            closure = close(rules.closure, self.rig, focal, place, now)
-            if closure is not None and self._possible(place, estimate, closure):
-                return _fix(i, place, estimate, closure)
-        return None
+            closure = close(rules.closure, self.rig, self.lenses[0].fx, place, now)
+            if closure is None:
+                continue
+            known = shared(place, x, closure).covariance
+            if self._possible(estimate, found_pose(place, closure), known):
+                found.append((_spread(known), i, closure))
+        if not found:
+            return None
+        _, i, closure = min(found, key=lambda f: f[:2])
+        return _fix(i, memory.places[i], estimate, closure)
 
-    def _possible(self, place: Place, estimate: VioEstimate, closure: Closure) -> bool:
-        """Whether the odometry may have drifted as far as a closure says."""
+    def _possible(self, estimate: VioEstimate, pose: tuple[Array, Array], known: Array) -> bool:
+        """Whether the odometry may have drifted as far as a pose says that was found."""
         rules, x = self.rules, estimate.state
         assert x is not None, "asked for before"
-        pose = found_pose(place, closure)
         floor = np.repeat([rules.floor_m**2, math.radians(rules.floor_deg) ** 2], 3)
-        S = estimate.covariance[POSE, POSE] + carried(place, x, pose)[POSE, POSE]
-        S = S + in_world(closure, pose[0]) + np.diag(floor)
+        S = estimate.covariance[POSE, POSE] + known + np.diag(floor)
         z = off_by(x, pose)
         return float(z @ np.linalg.solve(S, z)) <= rules.most_nees
 

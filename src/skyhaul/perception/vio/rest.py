@@ -15,7 +15,7 @@ from scipy.special import chdtri
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.geometry.so3 import hat
 from skyhaul.perception.vio.api import BA, BG, NE, NavState, R, V
-from skyhaul.perception.vio.imu import GRAVITY_W
+from skyhaul.perception.vio.imu import GRAVITY_W, NO_SAMPLES
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.standing import Standing, stands
 from skyhaul.sensors.api import ImuReading
@@ -50,7 +50,8 @@ def rest_of(params: Standing, intake: Intake, state: NavState, covariance: Array
     The tracks must stand, and the IMU must: no rate but the bias, a steady force. Then velocity
     and acceleration of the estimate must not differ from zero by more than its covariance allows.
     A velocity that does differ is overruled once tracks and IMU have stood for `certain_s` and no
-    acceleration contradicts: a vehicle that turns round slowly before a far wall has one.
+    acceleration contradicts: a vehicle that turns round slowly before a far wall has one. The IMU
+    alone does not decide: who flies steadily in the dark feels what one feels who stands.
 
     Args:
         params: Thresholds.
@@ -58,14 +59,14 @@ def rest_of(params: Standing, intake: Intake, state: NavState, covariance: Array
         state: Predicted at the last frame.
         covariance: Of its error, (15, 15).
     """
-    if not stands(params, intake.frames, intake.imu, params.window_s):
+    if not stands(params, intake.frames, NO_SAMPLES, params.window_s):
         return Rest.NO
     pieces = _pieces(params, intake.imu, intake.now_us, params.window_s)
     if not _imu_rests(params, pieces, state, covariance):
         return Rest.NO
     if _estimate_rests(params, pieces, state, covariance):
         return Rest.YES
-    if not stands(params, intake.frames, intake.imu, params.certain_s):
+    if not stands(params, intake.frames, NO_SAMPLES, params.certain_s):
         return Rest.NO
     pieces = _pieces(params, intake.imu, intake.now_us, params.certain_s)
     steady = _imu_rests(params, pieces, state, covariance)

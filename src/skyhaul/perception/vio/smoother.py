@@ -128,9 +128,7 @@ class SmootherEstimator:
         """See `VioEstimator.landmarks`."""
         return {} if memory.window is None else landmarks_of(memory.window)
 
-    def restart(
-        self, memory: SmootherMemory, state: NavState, covariance: Array
-    ) -> SmootherMemory:
+    def restart(self, memory: SmootherMemory, state: NavState, covariance: Array) -> SmootherMemory:
         """See `VioEstimator.restart`."""
         frame = memory.intake.frames[-1]
         window = open_window(frame.stamp_us, (state, covariance), frame)
