@@ -158,7 +158,7 @@ class VioEstimator(Protocol[Memory]):
     def restart(self, memory: Memory, state: NavState, covariance: Array) -> Memory:
         """Go on from another state at the stamp of the last frame: the vehicle was relocated.
 
-        What was held of older poses is dropped; the status is `TRACKING`.
+        What is held of older poses goes along or is dropped; the next status is `TRACKING`.
 
         Args:
             memory: What the last `step` returned, of an estimate that had a state.

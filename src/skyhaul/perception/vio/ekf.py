@@ -30,6 +30,7 @@ from skyhaul.perception.vio.clones import (
     correct,
     forget_clone,
     move,
+    rebased,
     start_filter,
 )
 from skyhaul.perception.vio.constraints import (
@@ -180,11 +181,16 @@ class EkfEstimator:
         return out
 
     def restart(self, memory: EkfMemory, state: NavState, covariance: Array) -> EkfMemory:
-        """See `VioEstimator.restart`."""
-        frame = memory.intake.frames[-1]
-        fresh = replace(memory, tracks={})
-        memory = self._keyframe(fresh, start_filter(state, covariance), frame)
-        return replace(memory, seen_us=frame.stamp_us)
+        """See `VioEstimator.restart`; clones and tracks go along."""
+        now, filter_, imu = memory.intake.now_us, memory.filter, memory.intake.imu
+        assert filter_ is not None, "there was a state"
+        if memory.stamp_us < now:
+            samples = segments(imu, memory.stamp_us, now)
+            noise = self.params.noise.through_gaps(imu, memory.stamp_us, now).over(samples)
+            predicted, Phi, Q = advance(filter_.state, samples, noise)
+            filter_ = move(filter_, predicted, Phi, Q, float(samples[:, 0].sum()))
+        filter_ = rebased(filter_, state, covariance)
+        return replace(memory, filter=filter_, stamp_us=now, seen_us=now)
 
     def _begin(self, memory: EkfMemory) -> tuple[EkfMemory, VioEstimate]:
         p, frame = self.params, memory.intake.frames[-1]
@@ -194,7 +200,8 @@ class EkfEstimator:
         if first is None:
             none = np.zeros((NE, NE))
             return memory, VioEstimate(frame.stamp_us, VioStatus.INITIALIZING, None, none, 0, 0)
-        memory = self.restart(memory, *first)
+        memory = self._keyframe(memory, start_filter(*first), frame)
+        memory = replace(memory, seen_us=frame.stamp_us)
         return memory, self._estimate(memory, first[0], first[1].copy())
 
     def _keyframe(self, memory: EkfMemory, filter_: CloneFilter, frame: TrackFrame) -> EkfMemory:
