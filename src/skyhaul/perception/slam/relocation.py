@@ -51,8 +51,9 @@ class Relocation(Params):
     """Time from try to try [s]."""
     candidates: int = 4
     """Places that are checked in a try, the most alike."""
-    gain: float = 0.5
-    """A place helps when it leaves less than this share of the variance of the position."""
+    gain: float = 0.4
+    """A place helps when it leaves less than this share of the variance of the position; the team's
+    filter takes a fall to less than a half for a new frame of the vehicle."""
     most_nees: float = 22.5
     """Square of the error found over its covariance, 6 degrees of freedom: 99.9 % are below."""
     floor_m: float = 0.1
