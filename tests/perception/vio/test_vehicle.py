@@ -143,3 +143,31 @@ def test_from_where_it_was_relocated_the_odometry_goes_on(kind):
     for e in out:
         x = 1.0 if e.stamp_us >= 800_000 else 0.0
         np.testing.assert_allclose(e.state.p_WI, [x, 0.0, 0.0], atol=0.02)
+
+
+class Views:
+    """Keeps what it is shown."""
+
+    def __init__(self):
+        self.shown = []
+
+    def follow(self, places, estimator, memory, estimate, views):
+        self.shown.append([v is not None for v in views])
+        return places, memory, estimate
+
+
+def test_places_are_made_of_images_that_were_delivered_now():
+    """Of a camera that drops images, or hangs, there is one of before: it shows another place."""
+    views, held = Views(), {}
+    odometry = replace(VehicleVio().build(CALIBRATION), relocaliser=views)
+    memory = odometry.init(StartPose(stands_until_us=100_000))
+    for reading in readings(260):
+        frames = [f for f in reading.frames if f.camera != 2 or f.stamp_us <= 200_000]
+        frames = [replace(f, image=held.setdefault(f.camera, f.image)) if f.camera == 3 else f
+                  for f in frames]  # fmt: skip
+        memory, _ = odometry.step(memory, replace(reading, frames=tuple(frames)))
+    assert views.shown == [
+        [True, True, True, True],
+        [True, True, True, False],
+        *[[True, True, False, False]] * 3,
+    ]

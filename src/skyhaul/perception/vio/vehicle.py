@@ -180,8 +180,9 @@ class VehicleOdometry:
         inner, estimate = self.estimator.step(memory.estimator, memory.fresh, tracks)
         places = memory.places
         if self.relocaliser is not None:
+            views = tracker.delivered_since(memory.tracker)
             places, inner, estimate = self.relocaliser.follow(
-                places, self.estimator, inner, estimate, tracker.cameras
+                places, self.estimator, inner, estimate, views
             )
         state = estimate.state
         memory = replace(
