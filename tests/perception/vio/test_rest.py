@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rest is told by tracks that stand, and by IMU and estimate; never by the IMU alone."""
+"""Rest is told by tracks, IMU and estimate together; without tracks nothing is overruled."""
 
 import numpy as np
 import pytest
@@ -36,6 +36,7 @@ def moves(speed_mps):
     [
         (20, 0.0, 0.05, Rest.YES),
         (20, 1.0, 0.05, Rest.DESPITE),
+        (0, 0.0, 0.05, Rest.YES),
         (0, 1.0, 0.05, Rest.NO),  # a steady flight in the dark
         (0, 1.0, 1.0, Rest.NO),  # the same, with a velocity that is no longer known well
     ],
