@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One update takes the drift since a place out of a state, and knows what is left."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -148,3 +150,23 @@ def test_a_drift_beyond_its_covariance_is_taken_out_all_the_same():
     assert np.trace(known[V, V]) > np.trace(
         without_drift(TRUE, covariance, place, closure_of())[1][V, V]
     )
+
+
+def test_the_covariance_of_the_pose_found_is_that_of_place_and_closure():
+    rng, nees = np.random.default_rng(1), []
+    for _ in range(400):
+        _, _, place, closure = drawn(rng)
+        e = -off_by(TRUE, found_pose(place, closure))
+        nees.append(e @ np.linalg.solve(shared(place, TRUE, closure).covariance, e))
+    assert np.mean(nees) == pytest.approx(6.0, abs=0.5)
+
+
+def test_what_now_shares_with_the_place_turns_about_it():
+    """A heading that was off at the place puts now beside its place, its velocity aside."""
+    yaw, place = 0.01, place_at(R_A.copy(), P_A.copy())
+    heading = np.zeros((6, 6))
+    heading[3:, 3:] = yaw**2 * np.outer(R_A.T[:, 2], R_A.T[:, 2])
+    held = shared(replace(place, covariance=heading), TRUE, closure_of()).held
+    z = np.array([0.0, 0.0, yaw])
+    e = np.concatenate([np.cross(z, P_B - P_A), R_B.T @ z, np.cross(z, TRUE.v_WI), np.zeros(6)])
+    np.testing.assert_allclose(held, np.outer(e, e), atol=1e-12)
