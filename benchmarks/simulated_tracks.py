@@ -17,10 +17,11 @@ from skyhaul.geometry.so3 import euler_to_R, so3_exp, so3_log
 from skyhaul.perception.vio.api import CameraRig, TrackFrame
 from skyhaul.perception.vio.recording import Recording
 from skyhaul.sensors.api import ImuReading
-from skyhaul.types import GRAVITY_MPS2, US_PER_S, Array
+from skyhaul.types import GRAVITY_MPS2, US_PER_S, Array, IntArray
 
 FOCAL_PX = 460.0
 HALF_VIEW = 0.7  # tangent of half the field of view
+POINTS = 1500
 ROOM_M = np.array([4.0, 4.0, 2.0])  # half sizes
 GYRO_BIAS = np.array([0.01, -0.02, 0.03])
 ACCEL_BIAS = np.array([0.06, -0.04, 0.05])
@@ -50,6 +51,8 @@ class Simulated:
     recording: Recording
     truth: Trajectory  # at the frames
     v_WI: Array  # (n, 3) [m/s]
+    p_WP: Array  # (k, 3) points on the walls [m]
+    point: IntArray  # (t,) the point of each track
 
 
 def motion(flight: Flight) -> Callable[[Array], tuple[Array, Array]]:
@@ -86,10 +89,12 @@ def simulate(flight: Flight) -> Simulated:
     truth = Trajectory(1000 * stamps, p_WI, R_to_quat(R_WI))
     v_WI = (poses(t + _H)[0] - poses(t - _H)[0]) / (2.0 * _H)
     rig = rig_of(flight.cameras)
-    frames = tuple(_frames(flight, rig, stamps, list(zip(p_WI, R_WI, strict=True))))
+    points = _walls(np.random.default_rng([flight.seed, 3]), POINTS)
+    made, point = _frames(flight, rig, stamps, list(zip(p_WI, R_WI, strict=True)))
+    frames = tuple(made)
     sigma = max(flight.noise_px, 0.1) / FOCAL_PX
     recording = Recording(rig, _imu(flight, poses), lambda: iter(frames), sigma, 0)
-    return Simulated(recording, truth, v_WI)
+    return Simulated(recording, truth, v_WI, points, point)
 
 
 def _imu(flight: Flight, poses: Callable[[Array], tuple[Array, Array]]) -> ImuReading:
@@ -117,12 +122,13 @@ def _walls(rng: np.random.Generator, count: int) -> Array:
 
 def _frames(
     flight: Flight, rig: CameraRig, stamps: Array, poses: list[tuple[Array, Array]]
-) -> list[TrackFrame]:
+) -> tuple[list[TrackFrame], IntArray]:
     rng = np.random.default_rng([flight.seed, 3])
-    points = _walls(rng, 1500)
+    points = _walls(rng, POINTS)
     held: list[dict[int, int]] = [{} for _ in rig.p_IC]  # per camera: point -> track
     slide: dict[int, Array] = {}
     born: dict[int, int] = {}
+    point_of: list[int] = []
     following, frames = 0, []
     for t, (p_WI, R_WI) in zip(stamps.tolist(), poses, strict=True):
         rows = []
@@ -141,6 +147,7 @@ def _frames(
                 heading = rng.uniform(0.0, 2.0 * np.pi)
                 speed = rng.uniform(0.03, 0.3) * bad  # of the normalised image, per second
                 slide[following] = speed * np.array([np.cos(heading), np.sin(heading)])
+                point_of.append(point)
                 following += 1
             for point, track in mine.items():
                 error = flight.noise_px / FOCAL_PX * rng.normal(size=2)
@@ -149,4 +156,4 @@ def _frames(
         table = np.array(rows).reshape(-1, 4)
         ids, cameras = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
         frames.append(TrackFrame(t, ids, cameras, table[:, 2:].copy()))
-    return frames
+    return frames, np.array(point_of, dtype=np.int64)

@@ -241,6 +241,32 @@ def test_steps_are_pure(kind):
 
 
 @every_estimator
+@pytest.mark.parametrize("frame_us", [5_000_000, 5_050_000])  # keyframes or not
+@pytest.mark.parametrize("dark", [(0.0, 0.0), (2.5, 5.0)])
+def test_it_goes_on_from_the_state_that_it_is_given(kind, dark, frame_us):
+    recording = flown(PLAIN).recording
+    estimator = kind.build(recording.rig, recording.sigma)
+    memory, shift, out = estimator.init(StartPose()), np.array([3.0, -2.0, 1.0]), {}
+    for imu, frame in recording.readings():
+        hidden = dark[0] <= frame.stamp_us / 1e6 < dark[1]
+        memory, e = estimator.step(memory, imu, blind(frame) if hidden else frame)
+        out[frame.stamp_us] = e
+        if frame.stamp_us == frame_us:
+            there = replace(e.state, p_WI=e.state.p_WI + shift)
+            memory = estimator.restart(memory, there, 0.5 * e.covariance)
+    before = {e.stamp_us: e for e in follow(kind, PLAIN, dark)[0]}
+    assert out[frame_us + 50_000].status is VioStatus.TRACKING
+    for t_us in range(frame_us + 50_000, 6_500_000, 50_000):
+        e, reference = out[t_us], before[t_us]
+        spread = np.sqrt(np.trace(reference.covariance[:3, :3]))
+        off = np.linalg.norm(e.state.p_WI - shift - reference.state.p_WI)
+        assert off < 3.0 * spread + 0.02
+        assert np.linalg.eigvalsh(e.covariance).min() > 0.0
+    fresh = np.trace(out[frame_us + 50_000].covariance[:3, :3])
+    assert fresh < 0.9 * np.trace(before[frame_us + 50_000].covariance[:3, :3])
+
+
+@every_estimator
 def test_time_must_not_go_back(kind):
     recording = flown(PLAIN).recording
     estimator = kind.build(recording.rig, recording.sigma)

@@ -6,6 +6,7 @@ import json
 import math
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,11 +25,20 @@ from skyhaul.evaluation.trajectory_error import (
 )
 from skyhaul.evaluation.trajectory_file import check_out, read_trajectory, write_tum
 from skyhaul.perception.slam.loops import LoopMemory, LoopRules, on_map
-from skyhaul.perception.vio.api import Memory, StartPose, VioEstimate, VioEstimator, VioStatus
+from skyhaul.perception.slam.relocation import LandmarkMap, Relocation
+from skyhaul.perception.vio.api import (
+    Memory,
+    StartPose,
+    TrackFrame,
+    VioEstimate,
+    VioEstimator,
+    VioStatus,
+)
 from skyhaul.perception.vio.ekf import EkfVio
 from skyhaul.perception.vio.recording import Recording, Views
 from skyhaul.perception.vio.smoother import SmootherVio
 from skyhaul.perception.vio.warm_up import warm_up
+from skyhaul.sensors.api import ImuReading
 from skyhaul.types import US_PER_S, IntArray
 
 KINDS = {"smoother": SmootherVio, "ekf": EkfVio}
@@ -36,6 +46,9 @@ LEAST_PAIRS = 3
 """Fewer poses leave an alignment open."""
 SWAPPED_DEG = 3.0
 """A smaller error over a second does not come from quaternions in a wrong order."""
+
+
+Frames = Iterator[tuple[ImuReading, TrackFrame, Views]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,19 +110,26 @@ def play(
     loops: LoopRules | None = None,
     bar: RecordingBar | None = None,
 ) -> Played:
-    """Feed a recording to an estimator; its kernels are compiled before the clock starts."""
+    """Feed a recording to an estimator; its kernels are compiled before the clock starts.
+
+    With images it finds its place again after it was lost; with loops their map does that.
+    """
     warm_up(recording.rig)
-    closer = None
-    if loops is not None and recording.images is not None:
-        closer = loops.build(recording.rig, recording.images.lenses)
-    none: Views = ()
-    frames = recording.views() if closer else ((i, f, none) for i, f in recording.readings())
-    memory, places, estimates, rows = estimator.init(StartPose()), LoopMemory(), [], []
+    closer, finder, none = None, None, Views()
+    frames: Frames = ((i, f, none) for i, f in recording.readings())
+    if recording.images is not None:
+        rig, lenses, frames = recording.rig, recording.images.lenses, recording.views()
+        finder = Relocation().build(rig, lenses) if loops is None else None
+        closer = None if loops is None else loops.build(rig, lenses)
+    memory, places, known = estimator.init(StartPose()), LoopMemory(), LandmarkMap()
+    estimates, rows = [], []
     if bar is not None:
         bar.begin()
     began, first_us = time.process_time(), None
     for imu, tracks, views in frames:
         memory, estimate = estimator.step(memory, imu, tracks)
+        if finder is not None:
+            known, memory, estimate = finder.follow(known, estimator, memory, estimate, views)
         estimates.append(estimate)
         first_us = estimate.stamp_us if first_us is None else first_us
         if bar is not None:
@@ -201,6 +221,7 @@ def summarize(played: Played, error: TrajectoryError | None) -> dict[str, object
         "frames_initializing": counts[VioStatus.INITIALIZING],
         "frames_tracking": counts[VioStatus.TRACKING],
         "frames_lost": counts[VioStatus.LOST],
+        "relocated": sum(e.relocated for e in played.estimates),
         "cpu_s": round(played.cpu_s, 3),
         "real_time_factor": round(played.duration_s / max(played.cpu_s, 1e-9), 2),
     }
@@ -227,7 +248,7 @@ def print_summary(summary: dict[str, object]) -> None:
     print(f"{'estimator':<18}{s['kind']}")
     print(
         f"{'frames':<18}{s['frames_initializing']} initialising, {s['frames_tracking']} tracking, "
-        f"{s['frames_lost']} lost"
+        f"{s['frames_lost']} lost, {s['relocated']} times relocated"
     )
     print(f"{'CPU time':<18}{s['cpu_s']} s, {s['real_time_factor']} times real time")
     if "loops" in s:

@@ -195,6 +195,7 @@ def _tracks(
             CameraFrame(now_us, c, read_png(file, camera.known.model.size_px))
             for c, camera, file in images
         ]
+        before = memory
         memory, tracks = tracker.step(memory, frames, now_us, turn)
         last_us = now_us
-        yield tracks, memory.cameras
+        yield tracks, memory.delivered_since(before)

@@ -140,3 +140,78 @@ def test_nonsense_is_refused(key, value):
 
 def test_the_default_front_end_fits_small_images():
     assert VehicleVio().front_end.window_px < FrontEnd().window_px
+
+
+def test_a_map_changes_no_estimate_of_a_vehicle_that_is_never_lost():
+    start = StartPose(np.array([1.0, 2.0, 0.0]), 0.3, stands_until_us=100_000)
+    odometry = VehicleVio(relocation=None).build(CALIBRATION)
+    assert odometry.relocaliser is None
+    with_map = VehicleVio().build(CALIBRATION)
+    memory, other, came = odometry.init(start), with_map.init(start), 0
+    for reading in readings(300):
+        memory, alone = odometry.step(memory, reading)
+        other, mapped = with_map.step(other, reading)
+        if alone is None or alone.state is None:
+            continue
+        came += 1
+        assert alone.state.p_WI.tobytes() == mapped.state.p_WI.tobytes()
+        assert alone.covariance.tobytes() == mapped.covariance.tobytes()
+    assert came > 3
+
+
+class FoundAt:
+    """Relocates a vehicle once, by a metre along x."""
+
+    def __init__(self, stamp_us):
+        self.stamp_us = stamp_us
+
+    def follow(self, places, estimator, memory, estimate, views):
+        assert len(views) == len(CALIBRATION.rig.cameras)
+        if estimate.stamp_us != self.stamp_us:
+            return places, memory, estimate
+        state = replace(estimate.state, p_WI=estimate.state.p_WI + np.array([1.0, 0.0, 0.0]))
+        memory = estimator.restart(memory, state, estimate.covariance)
+        return places, memory, replace(estimate, state=state, relocated=True)
+
+
+@pytest.mark.parametrize("kind", ["ekf", "smoother"])
+def test_from_where_it_was_relocated_the_odometry_goes_on(kind):
+    start = StartPose(np.zeros(3), 0.0, stands_until_us=100_000)
+    odometry = replace(VehicleVio(kind=kind).build(CALIBRATION), relocaliser=FoundAt(800_000))
+    memory, out = odometry.init(start), []
+    for reading in readings(600):
+        memory, estimate = odometry.step(memory, reading)
+        if estimate is not None and estimate.state is not None:
+            out.append(estimate)
+    assert [e.stamp_us for e in out if e.relocated] == [800_000]
+    for e in out:
+        x = 1.0 if e.stamp_us >= 800_000 else 0.0
+        np.testing.assert_allclose(e.state.p_WI, [x, 0.0, 0.0], atol=0.02)
+
+
+class Views:
+    """Keeps what it is shown."""
+
+    def __init__(self):
+        self.shown = []
+
+    def follow(self, places, estimator, memory, estimate, views):
+        self.shown.append([v is not None for v in views])
+        return places, memory, estimate
+
+
+def test_places_are_made_of_images_that_were_delivered_now():
+    """Of a camera that drops images, or hangs, there is one of before: it shows another place."""
+    views, held = Views(), {}
+    odometry = replace(VehicleVio().build(CALIBRATION), relocaliser=views)
+    memory = odometry.init(StartPose(stands_until_us=100_000))
+    for reading in readings(260):
+        frames = [f for f in reading.frames if f.camera != 2 or f.stamp_us <= 200_000]
+        frames = [replace(f, image=held.setdefault(f.camera, f.image)) if f.camera == 3 else f
+                  for f in frames]  # fmt: skip
+        memory, _ = odometry.step(memory, replace(reading, frames=tuple(frames)))
+    assert views.shown == [
+        [True, True, True, True],
+        [True, True, True, False],
+        *[[True, True, False, False]] * 3,
+    ]

@@ -119,6 +119,7 @@ class VioEstimate:
     covariance: Array  # (15, 15); zero while initialising
     used: int  # observations of landmarks that agreed with the state
     rejected: int  # observations of landmarks that did not
+    relocated: bool = False  # the state has jumped: the vehicle found its place again
 
     def __post_init__(self) -> None:
         frozen(self.covariance)
@@ -153,5 +154,17 @@ class VioEstimator(Protocol[Memory]):
         """Points of tracks that were seen lately and are known in depth: track -> p_WP, (3,) [m].
 
         With the images and places in `front_end.Followed` this is what a map of places needs.
+        """
+        ...
+
+    def restart(self, memory: Memory, state: NavState, covariance: Array) -> Memory:
+        """Go on from another state at the stamp of the last frame: the vehicle was relocated.
+
+        What is held of older poses goes along or is dropped; the next status is `TRACKING`.
+
+        Args:
+            memory: What the last `step` returned, of an estimate that had a state.
+            state: Where the vehicle is.
+            covariance: Of its error, (15, 15).
         """
         ...

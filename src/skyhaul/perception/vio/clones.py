@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyhaul.geometry.quaternion import quat_exp, quat_mul, quat_normalize, quat_to_R
-from skyhaul.geometry.so3 import hat, so3_exp
+from skyhaul.geometry.so3 import hat, so3_exp, so3_log
 from skyhaul.perception.vio.api import BA, BG, NE, NavState, P, R, V
 from skyhaul.perception.vio.imu import GRAVITY_W
 from skyhaul.types import Array
@@ -119,6 +119,32 @@ def correct(filter_: CloneFilter, residual: Array, H: Array, sigma: float) -> Cl
     I_KH = np.eye(len(before)) - K @ H
     after = I_KH @ before @ I_KH.T + sigma**2 * (K @ K.T)
     return _shift(replace(filter_, covariance=_symmetric(after)), K @ residual)
+
+
+def rebased(filter_: CloneFilter, state: NavState, covariance: Array) -> CloneFilter:
+    """The filter once its state turned out to be another: the clones go along as they depend on it.
+
+    With c = G x + n of what is known of clones and state, G = P_cx P_xx^-1, n stays as it was:
+    c += G (x' - x), P_cx' = G P_xx', P_cc' = P_cc - G (P_xx - P_xx') G^T. All first estimates are
+    those of now: the old ones are as far off as the state was.
+
+    Args:
+        filter_: Before.
+        state: What the state is instead.
+        covariance: Of its error, (15, 15).
+    """
+    old, s = filter_.covariance, filter_.state
+    G = np.linalg.solve(old[:NE, :NE], old[:NE, NE:]).T
+    turn = so3_log(quat_to_R(s.q_WI).T @ quat_to_R(state.q_WI))
+    parts = (state.p_WI - s.p_WI, turn, state.v_WI - s.v_WI)
+    e = np.concatenate([*parts, state.gyro_bias - s.gyro_bias, state.accel_bias - s.accel_bias])
+    new = old.copy()
+    new[:NE, :NE] = covariance
+    new[NE:, :NE] = G @ covariance
+    new[:NE, NE:] = new[NE:, :NE].T
+    new[NE:, NE:] -= G @ (old[:NE, :NE] - covariance) @ G.T
+    f = _shift(replace(filter_, covariance=_symmetric(new)), np.concatenate([e, G @ e]))
+    return replace(f, state=state, first=state, first_p=f.clone_p, first_R=f.clone_R)
 
 
 def _shift(filter_: CloneFilter, error: Array) -> CloneFilter:

@@ -30,6 +30,7 @@ from skyhaul.perception.vio.clones import (
     correct,
     forget_clone,
     move,
+    rebased,
     start_filter,
 )
 from skyhaul.perception.vio.constraints import (
@@ -189,6 +190,18 @@ class EkfEstimator:
             ):
                 out[track_id] = point.p_WP
         return out
+
+    def restart(self, memory: EkfMemory, state: NavState, covariance: Array) -> EkfMemory:
+        """See `VioEstimator.restart`; clones and tracks go along."""
+        now, filter_, imu = memory.intake.now_us, memory.filter, memory.intake.imu
+        assert filter_ is not None, "there was a state"
+        if memory.stamp_us < now:
+            samples = segments(imu, memory.stamp_us, now)
+            noise = self.params.noise.through_gaps(imu, memory.stamp_us, now).over(samples)
+            predicted, Phi, Q = advance(filter_.state, samples, noise)
+            filter_ = move(filter_, predicted, Phi, Q, float(samples[:, 0].sum()))
+        filter_ = rebased(filter_, state, covariance)
+        return replace(memory, filter=filter_, stamp_us=now, seen_us=now, sure_us=now)
 
     def _begin(self, memory: EkfMemory) -> tuple[EkfMemory, VioEstimate]:
         p, frame = self.params, memory.intake.frames[-1]

@@ -113,6 +113,13 @@ class TrackerMemory:
     cameras: tuple[Followed | None, ...]
     next_id: int = 0
 
+    def delivered_since(self, before: "TrackerMemory") -> tuple[Followed | None, ...]:
+        """What the cameras follow that delivered an image since then; None for the others."""
+        return tuple(
+            None if now is None or (then is not None and now.image is then.image) else now
+            for now, then in zip(self.cameras, before.cameras, strict=True)
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class FeatureTracker:

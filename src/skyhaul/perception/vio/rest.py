@@ -15,7 +15,7 @@ from scipy.special import chdtri
 from skyhaul.geometry.quaternion import quat_to_R
 from skyhaul.geometry.so3 import hat
 from skyhaul.perception.vio.api import BA, BG, NE, NavState, R, V
-from skyhaul.perception.vio.imu import GRAVITY_W
+from skyhaul.perception.vio.imu import GRAVITY_W, NO_SAMPLES
 from skyhaul.perception.vio.intake import Intake
 from skyhaul.perception.vio.standing import Standing, stands
 from skyhaul.sensors.api import ImuReading
@@ -23,6 +23,9 @@ from skyhaul.types import US_PER_S, Array, TimeUs
 
 GATE = 0.999
 """Share of vehicles at rest that pass each test."""
+
+KNOWN = 2.0
+"""How many times as badly a velocity may be known at most for the IMU alone to tell rest."""
 
 
 class Rest(StrEnum):
@@ -50,7 +53,9 @@ def rest_of(params: Standing, intake: Intake, state: NavState, covariance: Array
     The tracks must stand, and the IMU must: no rate but the bias, a steady force. Then velocity
     and acceleration of the estimate must not differ from zero by more than its covariance allows.
     A velocity that does differ is overruled once tracks and IMU have stood for `certain_s` and no
-    acceleration contradicts: a vehicle that turns round slowly before a far wall has one.
+    acceleration contradicts: a vehicle that turns round slowly before a far wall has one. Without
+    tracks nothing is overruled, and a velocity must be known well to be that of rest: who flies
+    steadily in the dark feels what one feels who stands.
 
     Args:
         params: Thresholds.
@@ -58,14 +63,16 @@ def rest_of(params: Standing, intake: Intake, state: NavState, covariance: Array
         state: Predicted at the last frame.
         covariance: Of its error, (15, 15).
     """
-    if not stands(params, intake.frames, intake.imu, params.window_s):
+    seen = stands(params, intake.frames, NO_SAMPLES, params.window_s)
+    felt = _slow(params, covariance) and stands(params, intake.frames, intake.imu, params.window_s)
+    if not seen and not felt:
         return Rest.NO
     pieces = _pieces(params, intake.imu, intake.now_us, params.window_s)
     if not _imu_rests(params, pieces, state, covariance):
         return Rest.NO
     if _estimate_rests(params, pieces, state, covariance):
         return Rest.YES
-    if not stands(params, intake.frames, intake.imu, params.certain_s):
+    if not seen or not stands(params, intake.frames, NO_SAMPLES, params.certain_s):
         return Rest.NO
     pieces = _pieces(params, intake.imu, intake.now_us, params.certain_s)
     steady = _imu_rests(params, pieces, state, covariance)
@@ -131,6 +138,11 @@ def _estimate_rests(
     return _small(state.v_WI, speed) and _force_rests(
         params, params.window_s, pieces, state, covariance
     )
+
+
+def _slow(params: Standing, covariance: Array) -> bool:
+    """Whether the velocity is known nearly as well as that of a vehicle that stands."""
+    return float(np.trace(covariance[V, V])) <= 3.0 * (KNOWN * params.speed_sigma_mps) ** 2
 
 
 def _force_rests(

@@ -136,6 +136,12 @@ class SmootherEstimator:
         """See `VioEstimator.landmarks`."""
         return {} if memory.window is None else landmarks_of(memory.window)
 
+    def restart(self, memory: SmootherMemory, state: NavState, covariance: Array) -> SmootherMemory:
+        """See `VioEstimator.restart`."""
+        frame = memory.intake.frames[-1]
+        window = open_window(frame.stamp_us, (state, covariance), frame)
+        return replace(memory, window=window, seen_us=frame.stamp_us)
+
     def setting(self) -> Setting:
         """What the window needs to know."""
         p = self.params
@@ -155,9 +161,8 @@ class SmootherEstimator:
         if first is None:
             none = VioEstimate(now, VioStatus.INITIALIZING, None, np.zeros((NE, NE)), 0, 0)
             return memory, none
-        window = open_window(now, first, memory.intake.frames[-1])
-        memory = replace(memory, window=window, seen_us=now)
-        return memory, self._estimate(memory, window.state, window.covariance)
+        memory = self.restart(memory, *first)
+        return memory, self._estimate(memory, *first)
 
     def _estimate(self, memory: SmootherMemory, state: NavState, covariance: Array) -> VioEstimate:
         now, window = memory.intake.now_us, memory.window

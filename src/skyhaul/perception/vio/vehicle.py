@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from skyhaul.params import Params
+from skyhaul.perception.slam.relocation import LandmarkMap, Relocaliser, Relocation
 from skyhaul.perception.vio.api import CameraRig, StartPose, VioEstimate, VioEstimator
 from skyhaul.perception.vio.beginning import Beginning
 from skyhaul.perception.vio.ekf import EkfVio
@@ -73,6 +74,8 @@ class VehicleVio(Params):
 
     scale_error: float = 3e-3
     """What calibration left of the IMU's errors of scale and axes, as a share of what it reads."""
+    relocation: Relocation | None = field(default_factory=Relocation)
+    """How it finds its place again after it was LOST; null: it does not."""
 
     def __post_init__(self) -> None:
         for name in ("sigma_px", "noise_margin", "accel_walk_margin"):
@@ -85,10 +88,12 @@ class VehicleVio(Params):
         sigma = self.sigma_px / np.array([np.mean(m.focal_px) for m in models])
         noise = self._noise(calibration.imu)
         chosen = self.ekf if self.kind == "ekf" else self.smoother
+        tracker, finder = self.front_end.build(models, rig), self.relocation
         return VehicleOdometry(
-            tracker=self.front_end.build(models, rig),
+            tracker=tracker,
             estimator=replace(chosen, noise=noise).build(rig, sigma),
             clock_offset_us=calibration.imu.clock_offset_us,
+            relocaliser=None if finder is None else finder.build(rig, tracker.lenses),
         )
 
     def _noise(self, imu: ImuCalibration) -> ImuNoise:
@@ -121,6 +126,7 @@ class OdometryMemory:
     waiting: tuple[CameraFrame, ...] = ()  # in order of time
     stamp_us: TimeUs = -1  # of the last frame
     gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
+    places: LandmarkMap = field(default_factory=LandmarkMap)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +136,7 @@ class VehicleOdometry:
     tracker: FeatureTracker
     estimator: VioEstimator[Any]
     clock_offset_us: TimeUs
+    relocaliser: Relocaliser | None = None
 
     def init(self, start: StartPose) -> OdometryMemory:
         """Memory before the first reading."""
@@ -179,6 +186,12 @@ class VehicleOdometry:
             turn = preintegrate(samples, memory.gyro_bias, np.zeros(3), noise).R_ij
         tracker, tracks = self.tracker.step(memory.tracker, images, stamp_us, turn)
         inner, estimate = self.estimator.step(memory.estimator, memory.fresh, tracks)
+        places = memory.places
+        if self.relocaliser is not None:
+            views = tracker.delivered_since(memory.tracker)
+            places, inner, estimate = self.relocaliser.follow(
+                places, self.estimator, inner, estimate, views
+            )
         state = estimate.state
         memory = replace(
             memory,
@@ -189,6 +202,7 @@ class VehicleOdometry:
             waiting=memory.waiting[len(images) :],
             stamp_us=stamp_us,
             gyro_bias=memory.gyro_bias if state is None else state.gyro_bias,
+            places=places,
         )
         return memory, estimate
 
