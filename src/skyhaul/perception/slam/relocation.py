@@ -49,7 +49,7 @@ class Relocation(Params):
     """The map."""
     every_s: float = 0.3
     """Time from try to try [s]."""
-    candidates: int = 4
+    candidates: int = 8
     """Places that are checked in a try, the most alike."""
     gain: float = 0.4
     """A place helps when it leaves less than this share of the variance of the position; the team's
