@@ -63,12 +63,12 @@ def rest_of(params: Standing, intake: Intake, state: NavState, covariance: Array
         state: Predicted at the last frame.
         covariance: Of its error, (15, 15).
     """
+    pieces = _pieces(params, intake.imu, intake.now_us, params.window_s)
+    if not _imu_rests(params, pieces, state, covariance):
+        return Rest.NO
     seen = stands(params, intake.frames, NO_SAMPLES, params.window_s)
     felt = _slow(params, covariance) and stands(params, intake.frames, intake.imu, params.window_s)
     if not seen and not felt:
-        return Rest.NO
-    pieces = _pieces(params, intake.imu, intake.now_us, params.window_s)
-    if not _imu_rests(params, pieces, state, covariance):
         return Rest.NO
     if _estimate_rests(params, pieces, state, covariance):
         return Rest.YES
